@@ -1,0 +1,577 @@
+# /// script
+# requires-python = ">=3.10"
+# dependencies = [
+#     "torch>=2.6,<2.14",
+#     "gymnasium[mujoco,box2d]>=1.4,<1.5",
+#     "mujoco>=3.1,<3.16",
+#     "numpy>=1.26",
+#     "pandas>=2.2",
+#     "seaborn>=0.13.2",
+#     "matplotlib>=3.8",
+#     "tqdm>=4.66",
+# ]
+# ///
+"""PPO for continuous control: proximal policy optimisation, in one file.
+
+Learns:   InvertedDoublePendulum-v5 (RESULT)
+Command:  python ppo_continuous.py --seed 1
+
+The algorithm, for observations s, Gaussian samples u, actions a = g(u) within their bounds, rewards r and a critic V:
+  1. Play T steps in N environments with the policy π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t).
+  2. Divide the rewards by the running standard deviation of the return so far,  G_t = r_t + γ·G_{t−1}.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)          (a time limit is not the end of the world)
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      (done: terminated, or cut off by the time limit)
+  5. Minibatches, several times over all B = T·N transitions:  ρ = π(u|s) / π_old(u|s)
+  6.   end the update once π has moved too far from π_old:  E[ρ − 1 − log ρ] > 1.5·target_kl
+  7.   Adam step on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π),  gradient norm clipped
+  8. Update the mean and variance that normalise observations, lower the learning rate, go to 1.
+
+= A2C plus: (5) several epochs of minibatches per rollout, (6) the limit on the KL divergence, (7) the clipped objective.
+Left out on purpose: recurrent or shared networks, images, discrete actions (a2c_vector.py), logging services.
+
+Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D observation and A action dimensions.
+Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al. 2016, High-Dimensional
+             Continuous Control Using Generalized Advantage Estimation. [3] Pardo et al. 2018, Time Limits in RL.
+             [4] Schulman 2020, Approximating KL Divergence. [5] Chan et al. 1979, Updating Formulae for Variances.
+"""
+
+import argparse
+import importlib.metadata
+import json
+import math
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from datetime import datetime
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import torch
+from matplotlib.figure import Figure
+from PIL import Image
+from torch import nn
+from tqdm import tqdm
+
+SCRIPT = Path(__file__).stem
+
+
+# --- Environment ----------------------------------------------------------------------------------
+
+
+class CheckedEnv(gym.Wrapper):
+    """Says which environment failed, and when. It drops the infos: nobody reads them, which pays for it."""
+
+    def __init__(self, env, index):
+        super().__init__(env)
+        self.index, self.steps = index, 0
+
+    def step(self, action):
+        self.steps += 1
+        try:
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            assert np.isfinite(obs).all() and math.isfinite(reward), "NaN or infinity came back"
+        except Exception as error:
+            raise SystemExit(f"error: environment {self.index}, step {self.steps}: {error!r}") from error
+        return obs, reward, terminated, truncated, {}
+
+
+def make_envs(env_id, num_envs):
+    """N environments, stepped together; whichever ends restarts within the same step."""
+    makers = [lambda i=i: CheckedEnv(gym.make(env_id), i) for i in range(num_envs)]
+    envs = gym.vector.SyncVectorEnv(makers, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
+    return gym.wrappers.vector.RecordEpisodeStatistics(envs)
+
+
+def make_seeds(seed, stream, count):
+    """`count` integers for one purpose, `stream`, of one run; neighbouring runs and purposes share none."""
+    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
+
+
+# --- Networks -------------------------------------------------------------------------------------
+
+
+class RunningNorm(nn.Module):
+    """(x − mean) / √var, clipped, with the mean and variance of all rows that `update` was given.
+
+    They are buffers: a checkpoint carries them, and nothing but `update` changes them.
+    """
+
+    def __init__(self, shape, clip=10.0):
+        super().__init__()
+        self.clip = clip
+        self.register_buffer("mean", torch.zeros(shape))
+        self.register_buffer("var", torch.ones(shape))
+        self.register_buffer("count", torch.zeros((), dtype=torch.int64))
+
+    def forward(self, x):
+        return ((x - self.mean) / self.var.sqrt()).clamp(-self.clip, self.clip)
+
+    def update(self, rows):
+        """Pool `rows` (B, …) with all earlier ones ([5])."""
+        weight = len(rows) / (self.count + len(rows))
+        delta = rows.mean(0) - self.mean
+        var = self.var + weight * (rows.var(0, correction=0) - self.var + (1 - weight) * delta**2)
+        self.var.copy_(var.clamp(min=1e-8))  # a dimension that never moved must not divide by zero
+        self.mean += weight * delta
+        self.count += len(rows)
+
+
+def mlp(inputs, hidden, outputs, output_gain):
+    """Two tanh layers and a linear one, orthogonal weights, zero biases."""
+    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
+    for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+
+class Policy(nn.Module):
+    """π(u|s) = N(μ(s), σ²) over the latent action u (…, A); the environment gets a = g(u).
+
+    PPO needs π of u only: the density of a has the Jacobian of g as one more factor, the same for
+    π and π_old, which cancels in ρ. (An entropy bonus does differ: H is that of u.)
+    """
+
+    def __init__(self, norm, action_space, hidden, log_std, squash):
+        super().__init__()
+        self.norm, self.squash = norm, squash
+        self.mean = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
+        self.log_std = nn.Parameter(torch.full(action_space.shape, log_std))  # the same in every state
+        self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
+        self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
+
+    def forward(self, obs):
+        """Observations (…, D) -> the distribution of u (…, A), whose dimensions are independent."""
+        mean, std = self.mean(self.norm(obs)), self.log_std.clamp(-10, 2).exp()
+        return torch.distributions.Normal(mean, std, validate_args=False)
+
+    def bound(self, latents):
+        """a = g(u): to [−1, 1] by tanh or by clipping, then stretched over [low, high]."""
+        unit = torch.tanh(latents) if self.squash == "tanh" else latents.clamp(-1, 1)
+        return torch.lerp(self.low, self.high, (unit + 1) / 2)
+
+    @torch.no_grad()
+    def act(self, obs, deterministic=False):
+        """NumPy (N, D) -> latents u (N, A), actions a (N, A), both NumPy; deterministic: u = μ(s)."""
+        distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        latents = distribution.mean if deterministic else distribution.sample()
+        return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
+
+
+class Critic(nn.Module):
+    """V(s), the expected discounted sum of scaled rewards: (…, D) -> (…,)."""
+
+    def __init__(self, norm, hidden):
+        super().__init__()
+        self.norm = norm
+        self.value = mlp(len(norm.mean), hidden, 1, output_gain=1.0)
+
+    def forward(self, obs):
+        return self.value(self.norm(obs)).squeeze(-1)
+
+
+def make_agent(args, env):
+    """Policy, critic and all statistics as one module: its state_dict is all that acting needs."""
+    norm = RunningNorm(env.observation_space.shape)
+    policy = Policy(norm, env.action_space, args.hidden_size, args.log_std, args.squash)
+    agent = {"policy": policy, "critic": Critic(norm, args.hidden_size), "returns": RunningNorm(())}
+    return nn.ModuleDict(agent).to(args.device)
+
+
+# --- Rollout --------------------------------------------------------------------------------------
+
+
+def rollout(envs, policy, obs, num_steps, env_step):
+    """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
+
+    Returns the real transitions, six tensors (T, N, …): states, latents, rewards, next_states,
+    terminated, done; the next observations (N, D); and (env_step, return, length) per ended episode.
+    """
+    transitions, episodes = [], []
+    for _ in range(num_steps):
+        latents, actions = policy.act(obs)
+        reset_obs, rewards, terminated, truncated, infos = envs.step(actions)
+        env_step += len(obs)
+        next_obs = reset_obs.copy()
+        for i in np.flatnonzero(terminated | truncated):  # there reset_obs begins the next episode
+            next_obs[i] = infos["final_obs"][i]
+            episodes.append((env_step, infos["episode"]["r"][i], infos["episode"]["l"][i]))
+        transitions.append((obs, latents, rewards, next_obs, terminated, terminated | truncated))
+        obs = reset_obs
+    columns = [torch.as_tensor(np.stack(x), device=policy.low.device) for x in zip(*transitions)]
+    return [x if x.dtype == torch.bool else x.float() for x in columns], obs, episodes
+
+
+# --- Returns and advantages -----------------------------------------------------------------------
+
+
+def scale_rewards(rewards, done, carry, return_norm, gamma):
+    """Rewards (T, N) in units of the running std of G_t = r_t + γ·G_{t−1}, G starting at 0 in each episode.
+
+    `carry` (N,) is γ·G of the rollout before; the one for the next rollout is returned, too.
+    """
+    returns = torch.empty_like(rewards)
+    for t in range(len(rewards)):
+        returns[t] = rewards[t] + carry
+        carry = gamma * torch.where(done[t], 0.0, returns[t])
+    return_norm.update(returns.flatten())
+    return rewards / return_norm.var.sqrt(), carry
+
+
+def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
+    """Generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
+
+    A terminal state is worth nothing, whatever the critic says; after a time limit, V(s_{t+1}) stands
+    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
+    """
+    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # line 3
+    advantages, advantage = torch.empty_like(deltas), torch.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        advantage = deltas[t] + gamma * gae_lambda * torch.where(done[t], 0.0, advantage)  # line 4
+        advantages[t] = advantage
+    return advantages
+
+
+# --- Loss -----------------------------------------------------------------------------------------
+
+
+def policy_loss(ratio, advantages, clip_eps):
+    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]: moving π beyond ε does not pay ([1] eq. 7); (M,) each."""
+    clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
+    return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
+
+
+def value_loss(values, old_values, returns, clip_eps):
+    """E[(V − R)²]; with ε > 0 the larger of this and the same for V within ±ε of V_old; (M,) each."""
+    errors = (values - returns) ** 2
+    if clip_eps > 0:
+        clipped_values = old_values + (values - old_values).clamp(-clip_eps, clip_eps)
+        errors = torch.max(errors, (clipped_values - returns) ** 2)
+    return errors.mean()
+
+
+def approximate_kl(log_ratio):
+    """KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] over samples of π_old: never negative, little noise ([4])."""
+    return (log_ratio.exp() - 1 - log_ratio).mean()
+
+
+# --- Training -------------------------------------------------------------------------------------
+
+
+def minibatches(transitions, policy, critic, args):
+    """Lines 3 to 5. Each epoch takes advantages from the critic as it is by then, shuffles the B rows
+    and cuts them into ⌊B / minibatch size⌋ nearly equal parts: every row once, tensors (M, …).
+    """
+    states, latents, rewards, next_states, terminated, done = transitions
+    old_log_probs = policy(states).log_prob(latents).sum(-1).detach()
+    for _ in range(args.epochs):
+        values, next_values = critic(states).detach(), critic(next_states).detach()
+        discounts = args.gamma, args.gae_lambda
+        advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
+        batch = states, latents, old_log_probs, values, advantages, advantages + values
+        order = torch.randperm(rewards.numel())
+        parts = len(order) // args.minibatch_size
+        yield from zip(*(x.flatten(0, 1)[order].tensor_split(parts) for x in batch))
+
+
+def optimise(agent, optimizer, transitions, args):
+    """Lines 3 to 7. Returns each diagnostic's mean over the minibatches that were learned from."""
+    policy, critic, logs = agent["policy"], agent["critic"], []
+    for rows in minibatches(transitions, policy, critic, args):
+        states, latents, old_log_probs, old_values, advantages, returns = rows
+        distribution = policy(states)
+        log_ratio = distribution.log_prob(latents).sum(-1) - old_log_probs  # 0 until the first step
+        ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
+        if 0 < args.target_kl < kl / 1.5:  # line 6
+            break
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+        loss_pi = policy_loss(ratio, advantages, args.clip_eps)
+        loss_v = value_loss(critic(states), old_values, returns, args.value_clip_eps)
+        entropy = distribution.entropy().sum(-1).mean()
+        optimizer.zero_grad()
+        (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # line 7
+        norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm, error_if_nonfinite=True)
+        optimizer.step()
+        logs.append({
+            "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
+            "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(), "grad_norm": norm,
+            "explained_variance": 1 - (returns - old_values).var() / returns.var(),
+            "policy_std": distribution.stddev.mean()})
+    return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
+
+
+def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
+    """Train one seed into `folder`, after a checkpoint if given, until the end or the event `stop`."""
+    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    folder.mkdir(exist_ok=True)
+    T, N = args.rollout_steps, args.num_envs
+    num_updates = math.ceil(args.total_steps / (T * N))
+    envs, eval_env = make_envs(args.env_id, N), gym.make(args.env_id)
+    agent = make_agent(args, eval_env)
+    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
+    first, seconds = restore(checkpoint, folder, agent, optimizer) if checkpoint else (0, 0.0)
+    obs, _ = envs.reset(seed=make_seeds(seed, stream=2 + first, count=N))
+    carry, recent, evaluation = torch.zeros(N, device=args.device), [math.nan], {}
+    clock = time.perf_counter()
+    bar = tqdm(range(first, num_updates), f"seed {seed}", num_updates, initial=first, unit="step",
+               unit_scale=T * N, position=bar_position)
+    for update in bar:
+        optimizer.param_groups[0]["lr"] = args.learning_rate * (1 - update / num_updates)
+        transitions, obs, episodes = rollout(envs, agent["policy"], obs, T, update * T * N)  # line 1
+        states, latents, rewards, next_states, terminated, done = transitions
+        rewards, carry = scale_rewards(rewards, done, carry, agent["returns"], args.gamma)  # line 2
+        transitions = states, latents, rewards, next_states, terminated, done
+        metrics = {"env_step": (update + 1) * T * N, **optimise(agent, optimizer, transitions, args)}
+        agent["policy"].norm.update(states.flatten(0, 1))  # line 8: π and π_old saw the same inputs
+        metrics["learning_rate"] = optimizer.param_groups[0]["lr"]
+        metrics["steps_per_second"] = T * N / (time.perf_counter() - clock)
+        seconds += time.perf_counter() - clock
+
+        last = update + 1 == num_updates or stop.is_set()
+        if last or args.eval_every and (update + 1) % args.eval_every == 0:
+            seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+            evaluation = evaluate(agent["policy"], eval_env, seeds)
+            append_rows(folder / "evals.csv", [{"env_step": metrics["env_step"], **evaluation}])
+        clock = time.perf_counter()  # evaluation is not training, all else is
+        append_rows(folder / "metrics.csv", [metrics])
+        append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
+        save_checkpoint(folder, args, seed, update + 1, seconds, agent, optimizer)
+        recent = (recent + [row[1] for row in episodes])[-20:]
+        bar.set_postfix(train=np.mean(recent), evaluation=evaluation.get("return_mean", math.nan))
+        if last:
+            break
+    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": metrics["env_step"],
+              "train_seconds": seconds, "steps_per_second": metrics["env_step"] / seconds,
+              **{f"eval_{name}": x for name, x in evaluation.items()}, "versions": versions()}
+    (folder / "summary.json").write_text(json.dumps(result, indent=2))
+
+
+# --- Evaluate and watch ---------------------------------------------------------------------------
+
+
+def play(policy, env, seed=None, frames=None):
+    """One episode of the deterministic policy: its return (raw rewards) and its length."""
+    obs, _ = env.reset(seed=seed)
+    rewards, ended = [], False
+    while not ended:
+        _, actions = policy.act(obs[None], deterministic=True)
+        obs, reward, terminated, truncated, _ = env.step(actions[0])
+        rewards.append(float(reward))
+        ended = terminated or truncated
+        if frames is not None:
+            frames.append(Image.fromarray(env.render()).reduce(2))
+    return sum(rewards), len(rewards)
+
+
+def evaluate(policy, env, seeds):
+    """One deterministic episode per seed, on an environment that training never sees."""
+    returns, lengths = zip(*(play(policy, env, seed) for seed in seeds))
+    return {"return_mean": np.mean(returns), "return_std": np.std(returns),
+            "length_mean": np.mean(lengths), "episodes": len(seeds)}
+
+
+def watch(args, checkpoint):
+    """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
+    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
+    gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
+    try:
+        env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
+        agent = make_agent(args, env)
+        agent.load_state_dict(checkpoint["agent"])
+        print("return {:.1f} in {} steps".format(*play(agent["policy"], env, frames=frames)))
+    except Exception as error:  # every graphics library fails in its own way
+        sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
+    if frames:
+        frames = frames[::math.ceil(env.metadata["render_fps"] / 25)]  # 25 a second, 40 ms each
+        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=40, loop=0)
+        print(gif)
+
+
+# --- Plot -----------------------------------------------------------------------------------------
+
+
+def plot(folder):
+    """learning_curve.png: every column of every CSV, one thin line a seed, the mean, a band of ± one std."""
+    units = {"return": " (raw reward)", "return_mean": " (raw reward)", "return_std": " (raw reward)",
+             "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
+             "approx_kl": " (nats)"}
+    figure = Figure(figsize=(22, 11), layout="constrained")  # not pyplot: no display, no global state
+    axes = iter(figure.subplots(3, 5).flat)
+    for table in ("episodes", "evals", "metrics"):
+        files = sorted(folder.glob(f"seed-*/{table}.csv"))
+        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
+        data["env_step"] = np.ceil(data["env_step"] / width) * width
+        data = data.groupby(["seed", "env_step"], as_index=False).mean()
+        for column in data.columns.drop(["seed", "env_step", "episodes"], errors="ignore"):
+            axis = next(axes)
+            sns.lineplot(data, x="env_step", y=column, ax=axis, errorbar="sd")
+            sns.lineplot(data, x="env_step", y=column, ax=axis, units="seed", estimator=None, lw=0.5)
+            label = f"{table}: {column}".replace("_", " ") + units.get(column, "")
+            axis.set(xlabel="environment steps", ylabel=label)
+    figure.suptitle(folder.name)
+    figure.savefig(folder / "learning_curve.png", dpi=100)
+
+
+# --- Run folder -----------------------------------------------------------------------------------
+
+
+def versions():
+    """What a number depends on besides the seed."""
+    return {name: importlib.metadata.version(name) for name in ("torch", "gymnasium", "mujoco", "numpy")}
+
+
+def append_rows(path, rows, columns=None):
+    """Add rows to a CSV file, below a header if it is new."""
+    with path.open("a", newline="") as file:
+        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+
+
+def save_checkpoint(folder, args, seed, update, seconds, agent, optimizer):
+    """Replace checkpoint.pt at once: a run killed at any moment leaves the old one or the new one."""
+    content = {"script": SCRIPT, "args": {**vars(args), "seed": [seed]}, "update": update,
+               "seconds": seconds, "agent": agent.state_dict(), "optimizer": optimizer.state_dict(),
+               "rng": torch.get_rng_state(),
+               "csv_bytes": {path.name: path.stat().st_size for path in folder.glob("*.csv")}}
+    torch.save(content, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+
+
+def restore(checkpoint, folder, agent, optimizer):
+    """Go back to a checkpoint, with the CSV files; returns the updates and seconds that led there."""
+    agent.load_state_dict(checkpoint["agent"])
+    optimizer.load_state_dict(checkpoint["optimizer"])
+    torch.set_rng_state(checkpoint["rng"].cpu())
+    for path in folder.glob("*.csv"):
+        os.truncate(path, checkpoint["csv_bytes"].get(path.name, 0))
+    return checkpoint["update"], checkpoint["seconds"]
+
+
+# --- Configuration --------------------------------------------------------------------------------
+
+
+def number(kind, low, high=1e12):
+    """An argparse type: an int or float within [low, high]; NaN is in no interval."""
+
+    def number(text):
+        if not low <= kind(text) <= high:
+            raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
+        return kind(text)
+
+    return number
+
+
+def parse_args(argv=None):
+    """The arguments and the checkpoint they name; what cannot work ends here in one line, status 2."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.formatter_class = argparse.ArgumentDefaultsHelpFormatter
+    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
+    devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
+    add = parser.add_argument
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
+    add("--env-id", default="InvertedDoublePendulum-v5", help="also my_module:MyEnv-v0")
+    add("--total-steps", type=number(int, 1), default=300_000, help="of all environments together")
+    add("--num-envs", type=number(int, 1), default=16, help="N, environments stepped together")
+    add("--rollout-steps", type=number(int, 1), default=128, help="T, steps of each in a rollout")
+    add("--epochs", type=number(int, 1), default=10, help="passes over a rollout")
+    add("--minibatch-size", type=number(int, 2), default=256, help="M, rows of a gradient step")
+    add("--learning-rate", type=number(float, 0), default=1e-3, help="at first; falls to 0")
+    add("--gamma", type=number(float, 0, 1), default=0.99, help="γ, discount of rewards")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="λ: 0 trusts V, 1 rewards")
+    add("--clip-eps", type=number(float, 0), default=0.2, help="ε, range in which ρ pays off")
+    add("--target-kl", type=number(float, 0), default=0.02, help="limit / 1.5 on KL; 0: none")
+    add("--value-coef", type=number(float, 0), default=0.5, help="c_V, weight of the value loss")
+    add("--value-clip-eps", type=number(float, 0), default=0.0, help="same for V; 0: none")
+    add("--entropy-coef", type=number(float, 0), default=0.0, help="c_H, weight of the entropy")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are cut")
+    add("--hidden-size", type=number(int, 1), default=64, help="units in each hidden layer")
+    add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
+    add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
+    add("--eval-every", type=number(int, 0), default=25, help="updates; 0: only at the end")
+    add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
+    add("--device", choices=devices, default="cpu", help="a GPU is slower for networks this small")
+    add("--out-dir", default="runs", help="where run folders are made")
+    add("--resume", metavar="CHECKPOINT", help="go on with a run, in its folder")
+    add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
+    args, checkpoint = parser.parse_args(argv), None
+
+    def require(name, condition, takes):
+        if not condition:
+            flag, got = name.replace("_", "-"), getattr(args, name)
+            parser.error(f"argument --{flag}: got {got}, takes {takes}")
+
+    if args.resume or args.watch:
+        try:
+            checkpoint = torch.load(args.resume or args.watch, args.device, weights_only=True)
+            script, saved = checkpoint["script"], checkpoint["args"]
+        except Exception:  # missing, cut short, something else, or (weights_only) bringing code along
+            script = None
+        require("resume" if args.resume else "watch", script == SCRIPT, f"a checkpoint of {SCRIPT}.py")
+        args = parser.parse_args(argv, argparse.Namespace(**saved))  # its arguments are the defaults
+        for name in saved.keys() - {"device", "out_dir"}:
+            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
+    try:
+        env = gym.make(args.env_id)
+        obs, actions = env.observation_space, env.action_space
+    except Exception as error:  # its text names the nearest environment
+        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
+    box, batch_size = gym.spaces.Box, args.num_envs * args.rollout_steps
+    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
+    require("env_id", isinstance(actions, box) and len(actions.shape) == 1 and actions.is_bounded(),
+            f"a flat Box of bounded actions (a2c_vector.py: Discrete ones), not {actions}")
+    require("env_id", isinstance(obs, box) and len(obs.shape) == 1, f"a flat Box to observe, not {obs}")
+    require("total_steps", args.total_steps >= batch_size, f"at least a rollout of {batch_size}")
+    require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout of {batch_size}")
+    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
+    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    return args, checkpoint
+
+
+# --- main -----------------------------------------------------------------------------------------
+
+
+def start_worker(lock):
+    """A process of several shares the terminal, and leaves Ctrl-C to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tqdm.set_lock(lock)
+
+
+def main():
+    args, checkpoint = parse_args()
+    if args.watch:
+        return watch(args, checkpoint)
+    if args.resume:
+        folder = Path(args.resume).absolute().parent.parent
+    else:
+        env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
+        folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
+        folder.mkdir(parents=True)
+        record = {**vars(args), "command": sys.argv, "versions": versions()}
+        (folder / "args.json").write_text(json.dumps(record, indent=2))
+    context = multiprocessing.get_context("spawn")
+    stop = context.Event() if len(args.seed) == 1 else context.Manager().Event()
+    signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
+    jobs = [(args, s, folder / f"seed-{s}", stop, checkpoint, i) for i, s in enumerate(args.seed)]
+    try:
+        if len(jobs) == 1:
+            train(*jobs[0])
+        else:
+            workers = os.cpu_count(), context, start_worker, (context.RLock(),)
+            with ProcessPoolExecutor(*workers) as pool:
+                list(pool.map(train, *zip(*jobs)))
+    finally:
+        plot(folder)
+        print("", *folder.glob("*/checkpoint.pt"), folder / "learning_curve.png", sep="\n")
+
+
+if __name__ == "__main__":
+    main()
