@@ -16,27 +16,35 @@
 Learns:   InvertedDoublePendulum-v5 (RESULT)
 Command:  python ppo_continuous.py --seed 1
 
-The algorithm, for observations s, Gaussian samples u, actions a = g(u) within their bounds, rewards r and a critic V:
+The algorithm, with observations s, Gaussian samples u, actions a = g(u) within their bounds,
+rewards r, policy π and critic V:
   1. Play T steps in N environments with the policy π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t).
-  2. Divide the rewards by the running standard deviation of the return so far,  G_t = r_t + γ·G_{t−1}.
-  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)          (a time limit is not the end of the world)
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      (done: terminated, or cut off by the time limit)
-  5. Minibatches, several times over all B = T·N transitions:  ρ = π(u|s) / π_old(u|s)
+  2. Divide r by the running standard deviation of the return so far,  G_t = r_t + γ·G_{t−1}.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)      (a time limit does not end the world)
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)  (done: terminated or out of time)
+  5. Several times: 3, 4, then for each minibatch of the B = T·N rows  ρ = π(u|s) / π_old(u|s),
   6.   end the update once π has moved too far from π_old:  E[ρ − 1 − log ρ] > 1.5·target_kl
-  7.   Adam step on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π),  gradient norm clipped
-  8. Update the mean and variance that normalise observations, lower the learning rate, go to 1.
+  7.   Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π), gradient clipped
+  8. Update the mean and variance that normalise s, lower the learning rate, go to 1.
 
-= A2C plus: (5) several epochs of minibatches per rollout, (6) the limit on the KL divergence, (7) the clipped objective.
-Left out on purpose: recurrent or shared networks, images, discrete actions (a2c_vector.py), logging services.
+= A2C plus: (5) several epochs of minibatches per rollout, (6) the limit on the KL divergence,
+(7) the clipped objective. Unlike [1], 3 and 4 are done anew before each epoch, with the critic as
+it is by then ([6]). Left out on purpose: recurrent or shared networks, images, logging services,
+discrete actions (a2c_vector.py has them).
 
-Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D observation and A action dimensions.
+Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D observation dimensions,
+             A action dimensions.
 Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
-References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al. 2016, High-Dimensional
-             Continuous Control Using Generalized Advantage Estimation. [3] Pardo et al. 2018, Time Limits in RL.
-             [4] Schulman 2020, Approximating KL Divergence. [5] Chan et al. 1979, Updating Formulae for Variances.
+References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
+             [2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized
+             Advantage Estimation. [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
+             [4] Schulman 2020, Approximating KL Divergence. [5] Chan et al. 1979, Updating Formulae
+             and a Pairwise Algorithm for Computing Sample Variances. [6] Andrychowicz et al. 2021,
+             What Matters for On-Policy Deep Actor-Critic Methods?
 """
 
 import argparse
+import contextlib
 import importlib.metadata
 import json
 import math
@@ -66,7 +74,7 @@ SCRIPT = Path(__file__).stem
 
 
 class CheckedEnv(gym.Wrapper):
-    """Says which environment failed, and when. It drops the infos: nobody reads them, which pays for it."""
+    """Says which environment failed, and when. Drops the infos, unread: that pays for it."""
 
     def __init__(self, env, index):
         super().__init__(env)
@@ -76,9 +84,10 @@ class CheckedEnv(gym.Wrapper):
         self.steps += 1
         try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
-            assert np.isfinite(obs).all() and math.isfinite(reward), "NaN or infinity came back"
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
         except Exception as error:
-            raise SystemExit(f"error: environment {self.index}, step {self.steps}: {error!r}") from error
+            sys.exit(f"error: environment {self.index}, at its step {self.steps}: {error!r}")
         return obs, reward, terminated, truncated, {}
 
 
@@ -90,7 +99,7 @@ def make_envs(env_id, num_envs):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose, `stream`, of one run; neighbouring runs and purposes share none."""
+    """`count` integers for one purpose (`stream`) of a run; runs and purposes share none."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -143,7 +152,7 @@ class Policy(nn.Module):
         super().__init__()
         self.norm, self.squash = norm, squash
         self.mean = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
-        self.log_std = nn.Parameter(torch.full(action_space.shape, log_std))  # the same in every state
+        self.log_std = nn.Parameter(torch.full(action_space.shape, log_std))  # for every state
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
@@ -159,7 +168,7 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> latents u (N, A), actions a (N, A), both NumPy; deterministic: u = μ(s)."""
+        """NumPy (N, D) -> NumPy latents u (N, A), actions a (N, A); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         latents = distribution.mean if deterministic else distribution.sample()
         return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
@@ -178,7 +187,7 @@ class Critic(nn.Module):
 
 
 def make_agent(args, env):
-    """Policy, critic and all statistics as one module: its state_dict is all that acting needs."""
+    """Policy, critic, all statistics as one module: its state_dict is all that acting needs."""
     norm = RunningNorm(env.observation_space.shape)
     policy = Policy(norm, env.action_space, args.hidden_size, args.log_std, args.squash)
     agent = {"policy": policy, "critic": Critic(norm, args.hidden_size), "returns": RunningNorm(())}
@@ -192,7 +201,7 @@ def rollout(envs, policy, obs, num_steps, env_step):
     """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
 
     Returns the real transitions, six tensors (T, N, …): states, latents, rewards, next_states,
-    terminated, done; the next observations (N, D); and (env_step, return, length) per ended episode.
+    terminated, done; the next observations; and (env_step, return, length) per ended episode.
     """
     transitions, episodes = [], []
     for _ in range(num_steps):
@@ -213,9 +222,9 @@ def rollout(envs, policy, obs, num_steps, env_step):
 
 
 def scale_rewards(rewards, done, carry, return_norm, gamma):
-    """Rewards (T, N) in units of the running std of G_t = r_t + γ·G_{t−1}, G starting at 0 in each episode.
+    """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
 
-    `carry` (N,) is γ·G of the rollout before; the one for the next rollout is returned, too.
+    `carry` (N,), γ·G from the rollout before, is returned for the next one.
     """
     returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -228,7 +237,7 @@ def scale_rewards(rewards, done, carry, return_norm, gamma):
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
     """Generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
-    A terminal state is worth nothing, whatever the critic says; after a time limit, V(s_{t+1}) stands
+    A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     """
     deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # line 3
@@ -243,13 +252,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(ratio, advantages, clip_eps):
-    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]: moving π beyond ε does not pay ([1] eq. 7); (M,) each."""
+    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]: moving ρ beyond ε does not pay ([1] eq. 7); (M,) each."""
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
 
 
 def value_loss(values, old_values, returns, clip_eps):
-    """E[(V − R)²]; with ε > 0 the larger of this and the same for V within ±ε of V_old; (M,) each."""
+    """E[(V − R)²]; with ε > 0 the larger of it and that of V within ±ε of V_old; (M,) each."""
     errors = (values - returns) ** 2
     if clip_eps > 0:
         clipped_values = old_values + (values - old_values).clamp(-clip_eps, clip_eps)
@@ -258,7 +267,7 @@ def value_loss(values, old_values, returns, clip_eps):
 
 
 def approximate_kl(log_ratio):
-    """KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] over samples of π_old: never negative, little noise ([4])."""
+    """KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] on samples of π_old: never negative, little noise ([4])."""
     return (log_ratio.exp() - 1 - log_ratio).mean()
 
 
@@ -266,7 +275,7 @@ def approximate_kl(log_ratio):
 
 
 def minibatches(transitions, policy, critic, args):
-    """Lines 3 to 5. Each epoch takes advantages from the critic as it is by then, shuffles the B rows
+    """Lines 3 to 5. Each epoch takes advantages from the critic as it is by then, shuffles the rows
     and cuts them into ⌊B / minibatch size⌋ nearly equal parts: every row once, tensors (M, …).
     """
     states, latents, rewards, next_states, terminated, done = transitions
@@ -297,7 +306,7 @@ def optimise(agent, optimizer, transitions, args):
         entropy = distribution.entropy().sum(-1).mean()
         optimizer.zero_grad()
         (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # line 7
-        norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm, error_if_nonfinite=True)
+        norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
         optimizer.step()
         logs.append({
             "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
@@ -308,7 +317,7 @@ def optimise(agent, optimizer, transitions, args):
 
 
 def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
-    """Train one seed into `folder`, after a checkpoint if given, until the end or the event `stop`."""
+    """Train one seed into `folder`, from a checkpoint if given, until done or `stop` is set."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
@@ -325,11 +334,13 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
                unit_scale=T * N, position=bar_position)
     for update in bar:
         optimizer.param_groups[0]["lr"] = args.learning_rate * (1 - update / num_updates)
-        transitions, obs, episodes = rollout(envs, agent["policy"], obs, T, update * T * N)  # line 1
+        env_step = update * T * N
+        transitions, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # line 1
         states, latents, rewards, next_states, terminated, done = transitions
         rewards, carry = scale_rewards(rewards, done, carry, agent["returns"], args.gamma)  # line 2
         transitions = states, latents, rewards, next_states, terminated, done
-        metrics = {"env_step": (update + 1) * T * N, **optimise(agent, optimizer, transitions, args)}
+        env_step += T * N
+        metrics = {"env_step": env_step, **optimise(agent, optimizer, transitions, args)}
         agent["policy"].norm.update(states.flatten(0, 1))  # line 8: π and π_old saw the same inputs
         metrics["learning_rate"] = optimizer.param_groups[0]["lr"]
         metrics["steps_per_second"] = T * N / (time.perf_counter() - clock)
@@ -339,7 +350,7 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
-            append_rows(folder / "evals.csv", [{"env_step": metrics["env_step"], **evaluation}])
+            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
         clock = time.perf_counter()  # evaluation is not training, all else is
         append_rows(folder / "metrics.csv", [metrics])
         append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
@@ -348,8 +359,8 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
         bar.set_postfix(train=np.mean(recent), evaluation=evaluation.get("return_mean", math.nan))
         if last:
             break
-    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": metrics["env_step"],
-              "train_seconds": seconds, "steps_per_second": metrics["env_step"] / seconds,
+    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
+              "train_seconds": seconds, "steps_per_second": env_step / seconds,
               **{f"eval_{name}": x for name, x in evaluation.items()}, "versions": versions()}
     (folder / "summary.json").write_text(json.dumps(result, indent=2))
 
@@ -400,11 +411,11 @@ def watch(args, checkpoint):
 
 
 def plot(folder):
-    """learning_curve.png: every column of every CSV, one thin line a seed, the mean, a band of ± one std."""
-    units = {"return": " (raw reward)", "return_mean": " (raw reward)", "return_std": " (raw reward)",
+    """learning_curve.png: each column of each CSV: thin lines for seeds, their mean ± one std."""
+    units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
              "approx_kl": " (nats)"}
-    figure = Figure(figsize=(22, 11), layout="constrained")  # not pyplot: no display, no global state
+    figure = Figure(figsize=(22, 11), layout="constrained")  # pyplot would look for a display
     axes = iter(figure.subplots(3, 5).flat)
     for table in ("episodes", "evals", "metrics"):
         files = sorted(folder.glob(f"seed-*/{table}.csv"))
@@ -414,8 +425,9 @@ def plot(folder):
         data = data.groupby(["seed", "env_step"], as_index=False).mean()
         for column in data.columns.drop(["seed", "env_step", "episodes"], errors="ignore"):
             axis = next(axes)
-            sns.lineplot(data, x="env_step", y=column, ax=axis, errorbar="sd")
-            sns.lineplot(data, x="env_step", y=column, ax=axis, units="seed", estimator=None, lw=0.5)
+            lines = {"data": data, "x": "env_step", "y": column, "ax": axis}
+            sns.lineplot(**lines, errorbar="sd")
+            sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5)
             label = f"{table}: {column}".replace("_", " ") + units.get(column, "")
             axis.set(xlabel="environment steps", ylabel=label)
     figure.suptitle(folder.name)
@@ -427,7 +439,8 @@ def plot(folder):
 
 def versions():
     """What a number depends on besides the seed."""
-    return {name: importlib.metadata.version(name) for name in ("torch", "gymnasium", "mujoco", "numpy")}
+    names = ("torch", "gymnasium", "mujoco", "numpy")
+    return {name: importlib.metadata.version(name) for name in names}
 
 
 def append_rows(path, rows, columns=None):
@@ -437,7 +450,7 @@ def append_rows(path, rows, columns=None):
 
 
 def save_checkpoint(folder, args, seed, update, seconds, agent, optimizer):
-    """Replace checkpoint.pt at once: a run killed at any moment leaves the old one or the new one."""
+    """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
     content = {"script": SCRIPT, "args": {**vars(args), "seed": [seed]}, "update": update,
                "seconds": seconds, "agent": agent.state_dict(), "optimizer": optimizer.state_dict(),
                "rng": torch.get_rng_state(),
@@ -447,7 +460,7 @@ def save_checkpoint(folder, args, seed, update, seconds, agent, optimizer):
 
 
 def restore(checkpoint, folder, agent, optimizer):
-    """Go back to a checkpoint, with the CSV files; returns the updates and seconds that led there."""
+    """Go back to a checkpoint, CSV files too; returns the updates and seconds that led there."""
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])
     torch.set_rng_state(checkpoint["rng"].cpu())
@@ -462,16 +475,17 @@ def restore(checkpoint, folder, agent, optimizer):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float within [low, high]; NaN is in no interval."""
 
-    def number(text):
-        if not low <= kind(text) <= high:
-            raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
-        return kind(text)
+    def parse(text):
+        with contextlib.suppress(ValueError):
+            if low <= kind(text) <= high:
+                return kind(text)
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    return number
+    return parse
 
 
 def parse_args(argv=None):
-    """The arguments and the checkpoint they name; what cannot work ends here in one line, status 2."""
+    """The arguments and the checkpoint they name; what cannot work ends in one line, status 2."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.formatter_class = argparse.ArgumentDefaultsHelpFormatter
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
@@ -513,11 +527,12 @@ def parse_args(argv=None):
         try:
             checkpoint = torch.load(args.resume or args.watch, args.device, weights_only=True)
             script, saved = checkpoint["script"], checkpoint["args"]
-        except Exception:  # missing, cut short, something else, or (weights_only) bringing code along
+        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
             script = None
-        require("resume" if args.resume else "watch", script == SCRIPT, f"a checkpoint of {SCRIPT}.py")
-        args = parser.parse_args(argv, argparse.Namespace(**saved))  # its arguments are the defaults
-        for name in saved.keys() - {"device", "out_dir"}:
+        flag = "resume" if args.resume else "watch"
+        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
+        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
+        for name in saved.keys() - {"device", "out_dir", "resume", "watch"}:
             require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
     try:
         env = gym.make(args.env_id)
@@ -528,9 +543,9 @@ def parse_args(argv=None):
     folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
     require("env_id", isinstance(actions, box) and len(actions.shape) == 1 and actions.is_bounded(),
             f"a flat Box of bounded actions (a2c_vector.py: Discrete ones), not {actions}")
-    require("env_id", isinstance(obs, box) and len(obs.shape) == 1, f"a flat Box to observe, not {obs}")
-    require("total_steps", args.total_steps >= batch_size, f"at least a rollout of {batch_size}")
-    require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout of {batch_size}")
+    require("env_id", isinstance(obs, box) and len(obs.shape) == 1, f"flat observations, not {obs}")
+    require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
+    require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout, {batch_size}")
     require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
     require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
     return args, checkpoint
