@@ -146,20 +146,24 @@ class Policy(nn.Module):
 
     PPO needs π of u only: the density of a has the Jacobian of g as one more factor, the same for
     π and π_old, which cancels in ρ. (An entropy bonus does differ: H is that of u.)
+
+    log σ = std_speed·parameter, the same in every state: Adam moves each parameter by about the
+    learning rate, so with std_speed < 1 exploration outlives the first success.
     """
 
-    def __init__(self, norm, action_space, hidden, log_std, squash):
+    def __init__(self, norm, action_space, hidden, log_std, std_speed, squash):
         super().__init__()
-        self.norm, self.squash = norm, squash
+        self.norm, self.std_speed, self.squash = norm, std_speed, squash
         self.mean = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
-        self.log_std = nn.Parameter(torch.full(action_space.shape, log_std))  # for every state
+        self.slow_log_std = nn.Parameter(torch.full(action_space.shape, log_std / std_speed))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
     def forward(self, obs):
         """Observations (…, D) -> the distribution of u (…, A), whose dimensions are independent."""
-        mean, std = self.mean(self.norm(obs)), self.log_std.clamp(-10, 2).exp()
-        return torch.distributions.Normal(mean, std, validate_args=False)
+        log_std = (self.std_speed * self.slow_log_std).clamp(-10, 2)
+        mean = self.mean(self.norm(obs))
+        return torch.distributions.Normal(mean, log_std.exp(), validate_args=False)
 
     def bound(self, latents):
         """a = g(u): to [−1, 1] by tanh or by clipping, then stretched over [low, high]."""
@@ -189,7 +193,8 @@ class Critic(nn.Module):
 def make_agent(args, env):
     """Policy, critic, all statistics as one module: its state_dict is all that acting needs."""
     norm = RunningNorm(env.observation_space.shape)
-    policy = Policy(norm, env.action_space, args.hidden_size, args.log_std, args.squash)
+    policy = Policy(norm, env.action_space, args.hidden_size, args.log_std,
+                    args.std_speed, args.squash)
     agent = {"policy": policy, "critic": Critic(norm, args.hidden_size), "returns": RunningNorm(())}
     return nn.ModuleDict(agent).to(args.device)
 
@@ -307,6 +312,8 @@ def optimise(agent, optimizer, transitions, args):
         optimizer.zero_grad()
         (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # line 7
         norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
+        if not norm.isfinite():
+            sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
         optimizer.step()
         logs.append({
             "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
@@ -423,6 +430,8 @@ def plot(folder):
         width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
         data["env_step"] = np.ceil(data["env_step"] / width) * width
         data = data.groupby(["seed", "env_step"], as_index=False).mean()
+        if data.empty:
+            continue  # an early Ctrl-C: no episode has ended yet
         for column in data.columns.drop(["seed", "env_step", "episodes"], errors="ignore"):
             axis = next(axes)
             lines = {"data": data, "x": "env_step", "y": column, "ax": axis}
@@ -493,7 +502,7 @@ def parse_args(argv=None):
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
     add("--env-id", default="InvertedDoublePendulum-v5", help="also my_module:MyEnv-v0")
-    add("--total-steps", type=number(int, 1), default=300_000, help="of all environments together")
+    add("--total-steps", type=number(int, 1), default=200_000, help="of all environments together")
     add("--num-envs", type=number(int, 1), default=16, help="N, environments stepped together")
     add("--rollout-steps", type=number(int, 1), default=128, help="T, steps of each in a rollout")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout")
@@ -509,6 +518,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are cut")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each hidden layer")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="of σ's learning, against μ's")
     add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
     add("--eval-every", type=number(int, 0), default=25, help="updates; 0: only at the end")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -532,6 +542,8 @@ def parse_args(argv=None):
         flag = "resume" if args.resume else "watch"
         require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
         args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
+        done = checkpoint["update"] * args.num_envs * args.rollout_steps >= args.total_steps
+        require(flag, args.watch or not done, "a run that is not complete yet")
         for name in saved.keys() - {"device", "out_dir", "resume", "watch"}:
             require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
     try:
@@ -584,8 +596,9 @@ def main():
             with ProcessPoolExecutor(*workers) as pool:
                 list(pool.map(train, *zip(*jobs)))
     finally:
-        plot(folder)
-        print("", *folder.glob("*/checkpoint.pt"), folder / "learning_curve.png", sep="\n")
+        if any(folder.glob("*/evals.csv")):
+            plot(folder)
+        print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
 
 
 if __name__ == "__main__":

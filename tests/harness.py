@@ -1,0 +1,114 @@
+"""What the tests share: running a script as a user would, and small worlds with known answers."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+from gymnasium.spaces import Box, Dict
+
+ROOT = Path(__file__).resolve().parent.parent
+TESTS = Path(__file__).resolve().parent
+
+# --- Running a script -----------------------------------------------------------------------------
+
+
+def start(script, *arguments, cwd, python=(), **environment):
+    """Start `python script.py arguments` in `cwd`, on a machine without a display."""
+    hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
+    env = {name: value for name, value in os.environ.items() if name not in hidden}
+    env |= {"PYTHONPATH": str(TESTS), "OMP_NUM_THREADS": "1", **environment}
+    command = [sys.executable, *python, str(ROOT / script), *map(str, arguments)]
+    return subprocess.Popen(
+        command, cwd=cwd, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def run(script, *arguments, cwd, status=0, **options):
+    """Run a script to its end; what it printed is in `out` and `err` of the process."""
+    process = start(script, *arguments, cwd=cwd, **options)
+    process.out, process.err = process.communicate(timeout=170)
+    assert process.returncode == status, process.err
+    return process
+
+
+def run_folder(cwd):
+    (folder,) = Path(cwd, "runs").iterdir()
+    return folder
+
+
+def table(path):
+    """A CSV file without its only column that no seed determines."""
+    return pd.read_csv(path).drop(columns="steps_per_second", errors="ignore")
+
+
+def read_json(path):
+    return json.loads(Path(path).read_text())
+
+
+# --- Worlds ---------------------------------------------------------------------------------------
+
+ACTIONS = Box(np.float32([-1, 0]), np.float32([3, 0.5]))  # neither symmetric nor alike
+TARGET = np.float32([2, 0.1])
+
+
+class World(gym.Env):
+    """Reward 1 a step, episodes of `length` steps; refuses actions out of bounds.
+
+    It shows (a number drawn for the episode, steps since its start), so that no two look alike.
+    From its step `fault_at` on it fails: with a NaN for a reward or with an exception.
+    """
+
+    def __init__(self, length=3, fault=None, fault_at=0, observations=None, actions=ACTIONS):
+        self.length, self.fault, self.fault_at, self.total = length, fault, fault_at, 0
+        self.observation_space = observations or Box(-np.inf, np.inf, (2,))
+        self.action_space = actions
+
+    def observe(self):
+        return np.float32([self.episode, self.steps])
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.episode, self.steps = self.np_random.uniform(-1, 1), 0
+        return self.observe(), {}
+
+    def step(self, action):
+        assert self.action_space.contains(action), f"{action} is out of bounds"
+        self.steps += 1
+        self.total += 1
+        faulty = self.fault and self.total >= self.fault_at
+        if faulty and self.fault == "raise":
+            raise RuntimeError("the pole broke")
+        reward = float("nan") if faulty else self.reward(action)
+        return self.observe(), reward, self.steps == self.length, False, {}
+
+    def reward(self, action):
+        return 1.0
+
+
+class Target(World):
+    """One step; the best action is TARGET, its reward 0."""
+
+    def reward(self, action):
+        return -float(np.square(action - TARGET).sum())
+
+
+def register(name, world=World, limit=None, **kwargs):
+    gym.register(f"{name}-v0", world, max_episode_steps=limit, kwargs=kwargs)
+
+
+if "ThreeSteps-v0" not in gym.registry:
+    register("ThreeSteps")
+    register("Forever", limit=8, length=None)  # never ends, but for the time limit
+    register("BothEnds", limit=3)  # terminated and truncated in the same step
+    register("Target", Target, length=1)
+    register("FailsLate", fault="raise", fault_at=40)
+    register("FailsEarly", fault="raise", fault_at=2)
+    register("TurnsNaN", fault="nan", fault_at=40)
+    register("DictObs", observations=Dict(position=Box(-1, 1, (2,))))
+    register("Image", observations=Box(0, 255, (8, 8, 3), np.uint8))
+    register("Unbounded", actions=Box(-np.inf, np.inf, (2,)))

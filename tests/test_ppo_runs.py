@@ -1,0 +1,474 @@
+"""ppo_continuous.py as a user runs it: files, seeds, Ctrl-C, resume, mistakes, learning."""
+
+import ast
+import contextlib
+import ctypes.util
+import json
+import pickle
+import random
+import re
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from harness import ROOT, TARGET, read_json, run, run_folder, start, table
+from PIL import Image
+
+import ppo_continuous as ppo
+
+SCRIPT = "ppo_continuous.py"
+SIZES = "--num-envs 4 --rollout-steps 32 --minibatch-size 32 --epochs 2 --eval-episodes 2"
+SMALL = SIZES.split()
+SHORT = ["--env-id", "InvertedPendulum-v5", "--total-steps", "512", *SMALL]
+THREE_STEPS = ["--env-id", "harness:ThreeSteps-v0", *SMALL]
+BATCH = 4 * 32
+
+
+@pytest.fixture(scope="session")
+def place(tmp_path_factory):
+    """Where two calls with one seed were made: the first without, the second with evaluations."""
+    cwd = tmp_path_factory.mktemp("runs")
+    for eval_every in 0, 1:
+        options = "--seed", 3, "--eval-every", eval_every
+        process = run(SCRIPT, *SHORT, *options, cwd=cwd, python=["-W", "error"])
+        assert "Warning" not in process.err + process.out
+    return cwd
+
+
+@pytest.fixture(scope="session")
+def folder(place):
+    return min(place.glob("runs/*"))
+
+
+@pytest.fixture(scope="session")
+def evaluated(place):
+    return max(place.glob("runs/*"))
+
+
+# --- Files ----------------------------------------------------------------------------------------
+
+
+def test_a_call_leaves_one_new_folder_and_nothing_else(place, folder, evaluated):
+    assert [p.name for p in place.iterdir()] == ["runs"]
+    assert len(list(place.glob("runs/*"))) == 2
+    for path in folder, evaluated:
+        assert re.fullmatch(r"InvertedPendulum-v5__ppo_continuous__\d{8}_\d+", path.name)
+
+
+def test_a_run_folder_holds_every_file_with_every_column(folder):
+    names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    files = "episodes.csv", "metrics.csv", "evals.csv", "checkpoint.pt", "summary.json"
+    assert names == {"args.json", "learning_curve.png", *(f"seed-3/{name}" for name in files)}
+    columns = {
+        "episodes": "env_step return length",
+        "evals": "env_step return_mean return_std length_mean episodes",
+        "metrics": "env_step policy_loss value_loss entropy approx_kl clip_fraction grad_norm "
+        "explained_variance policy_std learning_rate steps_per_second",
+    }
+    for name, expected in columns.items():
+        data = pd.read_csv(folder / f"seed-3/{name}.csv")
+        assert list(data) == expected.split()
+        assert len(data)
+        assert np.isfinite(data).all(axis=None)
+        assert data["env_step"].is_monotonic_increasing
+    with Image.open(folder / "learning_curve.png") as image:
+        assert image.size[0] > 1000
+
+
+def test_args_json_and_summary_json_say_what_was_run(folder):
+    args, summary = read_json(folder / "args.json"), read_json(folder / "seed-3/summary.json")
+    assert args["env_id"] == summary["env_id"] == "InvertedPendulum-v5"
+    assert (args["seed"], summary["seed"], summary["script"]) == ([3], 3, "ppo_continuous")
+    assert set(vars(ppo.parse_args([])[0])) < set(args)
+    assert "--total-steps" in args["command"]
+    assert {"torch", "gymnasium", "mujoco", "numpy"} <= set(args["versions"])
+    assert args["versions"] == summary["versions"]
+    assert summary["env_steps"] == 512
+    assert summary["steps_per_second"] == pytest.approx(512 / summary["train_seconds"])
+    last = pd.read_csv(folder / "seed-3/evals.csv").iloc[-1]
+    for name in "return_mean", "return_std", "episodes":
+        assert summary[f"eval_{name}"] == pytest.approx(last[name])
+
+
+def test_metrics_have_a_row_an_update_and_the_learning_rate_falls_but_not_to_0(folder):
+    metrics = pd.read_csv(folder / "seed-3/metrics.csv")
+    assert metrics["env_step"].tolist() == [128, 256, 384, 512]
+    np.testing.assert_allclose(metrics["learning_rate"], np.array([1, 0.75, 0.5, 0.25]) * 1e-3)
+
+
+def test_statistics_count_every_real_observation_once(folder):
+    agent = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)["agent"]
+    assert agent["policy.norm.count"] == agent["returns.count"] == 512
+
+
+def test_no_episode_has_to_end_in_a_run(tmp_path):
+    options = "--env-id", "HalfCheetah-v5", "--total-steps", "128", *SMALL, "--eval-episodes", "1"
+    args, _ = ppo.parse_args(options)
+    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    ppo.plot(tmp_path)
+    assert len(pd.read_csv(tmp_path / "seed-1/episodes.csv")) == 0
+    assert (tmp_path / "learning_curve.png").exists()
+
+
+# --- Seeds ----------------------------------------------------------------------------------------
+
+
+def test_evaluation_does_not_touch_training(folder, evaluated):
+    for name in "episodes.csv", "metrics.csv":
+        pd.testing.assert_frame_equal(
+            table(folder / "seed-3" / name), table(evaluated / "seed-3" / name), check_exact=True
+        )
+    once, often = (pd.read_csv(x / "seed-3/evals.csv") for x in (folder, evaluated))
+    assert (len(once), len(often)) == (1, 4)
+    assert once.iloc[-1].equals(often.iloc[-1])
+
+
+def test_seeds_side_by_side_equal_seeds_alone(folder, tmp_path):
+    options = "--seed", 3, 4, "--eval-every", 0, "--out-dir", "my runs"
+    run(SCRIPT, *SHORT, *options, cwd=tmp_path, python=["-W", "error"])
+    assert [p.name for p in tmp_path.iterdir()] == ["my runs"]
+    (both,) = tmp_path.glob("my runs/*")
+    assert sorted(p.name for p in both.glob("seed-*")) == ["seed-3", "seed-4"]
+    assert (both / "learning_curve.png").exists()
+    for name in "episodes.csv", "metrics.csv", "evals.csv":
+        alone, third = table(folder / "seed-3" / name), table(both / "seed-3" / name)
+        pd.testing.assert_frame_equal(alone, third, check_exact=True)
+        assert not third.equals(table(both / "seed-4" / name))
+
+
+# --- Ctrl-C, kill, resume -------------------------------------------------------------------------
+
+
+def wait_for_rows(process, cwd, more):
+    """Wait until metrics.csv has grown by `more` rows; gives its number of rows."""
+
+    def rows():
+        with contextlib.suppress(ValueError, OSError):
+            return (run_folder(cwd) / "seed-1/metrics.csv").read_text().count("\n")
+        return 0
+
+    first = rows()
+    while rows() < first + more:
+        assert process.poll() is None, process.communicate()[1]
+        time.sleep(0.01)
+    return rows()
+
+
+def check_tables(seed_folder):
+    """Every update is there once, and the other tables are sorted and go no further."""
+    steps = pd.read_csv(seed_folder / "metrics.csv")["env_step"]
+    assert steps.tolist() == [BATCH * (i + 1) for i in range(len(steps))]
+    evals = pd.read_csv(seed_folder / "evals.csv")["env_step"]
+    episodes = pd.read_csv(seed_folder / "episodes.csv")["env_step"]
+    assert evals.is_monotonic_increasing
+    assert evals.is_unique
+    assert episodes.is_monotonic_increasing
+    assert evals.iloc[-1] == steps.iloc[-1] >= episodes.iloc[-1]
+    assert read_json(seed_folder / "summary.json")["env_steps"] == steps.iloc[-1]
+    return steps.iloc[-1]
+
+
+@pytest.fixture(scope="session")
+def interrupted(tmp_path_factory):
+    """A run that got Ctrl-C, and its working directory."""
+    cwd = tmp_path_factory.mktemp("interrupted")
+    process = start(SCRIPT, *THREE_STEPS, "--total-steps", 10**6, "--eval-every", 5, cwd=cwd)
+    wait_for_rows(process, cwd, more=4)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert "Traceback" not in err
+    return run_folder(cwd)
+
+
+def test_ctrl_c_ends_after_the_current_update_with_every_file(interrupted):
+    assert 4 * BATCH <= check_tables(interrupted / "seed-1") < 10**6
+    assert (interrupted / "learning_curve.png").exists()
+    assert (interrupted / "seed-1/checkpoint.pt").exists()
+
+
+def test_a_run_killed_at_any_three_moments_is_resumed_without_gap_or_repeat(tmp_path):
+    options = "--total-steps", 150 * BATCH, "--eval-every", 5
+    process = start(SCRIPT, *THREE_STEPS, *options, cwd=tmp_path)
+    for _ in range(3):
+        wait_for_rows(process, tmp_path, more=random.randint(3, 20))
+        time.sleep(random.uniform(0, 0.05))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        process.communicate()
+        checkpoint = run_folder(tmp_path) / "seed-1/checkpoint.pt"
+        process = start(SCRIPT, "--resume", checkpoint, cwd=tmp_path)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    assert check_tables(run_folder(tmp_path) / "seed-1") == 150 * BATCH
+    metrics = pd.read_csv(run_folder(tmp_path) / "seed-1/metrics.csv")
+    np.testing.assert_allclose(metrics["learning_rate"], 1e-3 * (1 - np.arange(150) / 150))
+
+
+def test_resuming_a_finished_run_is_refused_and_changes_nothing(folder, capsys):
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    checkpoint = folder / "seed-3/checkpoint.pt"
+    check_refusal(refusal(capsys, "--resume", checkpoint), "argument --resume: ", str(checkpoint))
+    assert before == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+# --- Checkpoints, watching ------------------------------------------------------------------------
+
+ACT = """
+import argparse, json, sys
+import gymnasium as gym, numpy as np, torch
+import ppo_continuous as ppo
+checkpoint = torch.load(sys.argv[1], weights_only=True)
+args = argparse.Namespace(**checkpoint["args"])
+agent = ppo.make_agent(args, gym.make(args.env_id))
+agent.load_state_dict(checkpoint["agent"])
+print(json.dumps(agent["policy"].act(np.load(sys.argv[2]), deterministic=True)[1].tolist()))
+"""
+
+
+def test_a_new_process_acts_like_the_one_that_trained(tmp_path, monkeypatch):
+    obs, last = np.random.default_rng(0).normal(size=(100, 4)), []
+    save = ppo.save_checkpoint
+
+    def save_and_act(folder, args, seed, update, seconds, agent, optimizer):
+        save(folder, args, seed, update, seconds, agent, optimizer)
+        last[:] = agent["policy"].act(obs, deterministic=True)[1].tolist()
+
+    monkeypatch.setattr(ppo, "save_checkpoint", save_and_act)
+    ppo.train(ppo.parse_args(SHORT)[0], 1, tmp_path / "seed-1", threading.Event())
+    np.save(tmp_path / "obs.npy", obs)
+    Path(tmp_path, "act.py").write_text(ACT)
+    paths = tmp_path / "seed-1/checkpoint.pt", tmp_path / "obs.npy"
+    process = run(tmp_path / "act.py", *paths, cwd=tmp_path, PYTHONPATH=str(ROOT))
+    assert json.loads(process.out) == last
+    assert len({a for (a,) in last}) > 50
+
+
+@pytest.fixture
+def checkpoint(folder, tmp_path):
+    """A checkpoint of a run that has not come to its end."""
+    content = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)
+    torch.save({**content, "update": 2}, tmp_path / "checkpoint.pt")
+    return tmp_path / "checkpoint.pt"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window opens")
+def test_watching_without_a_display_makes_a_gif(checkpoint, tmp_path):
+    if not ctypes.util.find_library("EGL"):
+        pytest.skip("no EGL here")
+    before = checkpoint.read_bytes()
+    process = run(SCRIPT, "--watch", checkpoint, cwd=tmp_path)
+    assert re.search(r"return [\d.]+ in \d+ steps", process.out)
+    with Image.open(checkpoint.with_suffix(".gif")) as gif:
+        assert gif.n_frames > 1
+    assert {p.name for p in tmp_path.iterdir()} == {"checkpoint.pt", "checkpoint.gif"}
+    assert checkpoint.read_bytes() == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window opens")
+def test_watching_without_graphics_ends_in_one_clear_line(checkpoint, tmp_path):
+    process = start(SCRIPT, "--watch", checkpoint, cwd=tmp_path, MUJOCO_GL="invalid")
+    out, err = process.communicate(timeout=60)
+    assert process.returncode > 0
+    assert err.count("\n") == 1
+    assert "MUJOCO_GL" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+# --- Mistakes -------------------------------------------------------------------------------------
+
+
+def check_refusal(error, *mentions):
+    assert error.count("\n") == 1
+    assert "Traceback" not in error
+    for text in mentions:
+        assert text in error
+
+
+def refusal(capsys, *arguments):
+    """The one line that a wrong call ends with."""
+    with pytest.raises(SystemExit) as end:
+        ppo.parse_args([str(x) for x in arguments])
+    out, err = capsys.readouterr()
+    assert (end.value.code, out) == (2, "")
+    return err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "mentions"),
+    [
+        ("--env-id InvertedPendlum-v5", "Did you mean: `InvertedPendulum`"),
+        ("--env-id no_such_module:Some-v0", "no_such_module"),
+        ("--env-id CartPole-v1", "a2c_vector.py"),
+        ("--env-id harness:DictObs-v0", "Dict"),
+        ("--env-id harness:Image-v0", "Box"),
+        ("--env-id harness:Unbounded-v0", "bounded"),
+        ("--total-steps 2047", "2048"),
+        ("--minibatch-size 2049", "2048"),
+        ("--minibatch-size 1", "got 1"),
+        ("--num-envs 0", "got 0"),
+        ("--num-envs 2.5", "2.5"),
+        ("--rollout-steps -1", "got -1"),
+        ("--epochs 0", "got 0"),
+        ("--total-steps 0", "got 0"),
+        ("--hidden-size 0", "got 0"),
+        ("--eval-episodes 0", "got 0"),
+        ("--eval-every -1", "got -1"),
+        ("--gamma 1.01", "got 1.01"),
+        ("--gamma -0.1", "got -0.1"),
+        ("--gae-lambda 2", "got 2"),
+        ("--learning-rate nan", "got nan"),
+        ("--learning-rate inf", "got inf"),
+        ("--learning-rate fast", "fast"),
+        ("--log-std 9", "got 9"),
+        ("--squash sigmoid", "sigmoid"),
+        ("--seed -1", "got -1"),
+        ("--seed 1 2 1", "[1, 2, 1]"),
+        ("--seed", "argument"),
+        ("--out-dir a_file/below", "a_file"),
+        ("--device tpu", "tpu"),
+        ("--device cuda:99", "cuda:99"),
+        ("--resume no/checkpoint.pt", "no/checkpoint.pt"),
+        ("--watch .", "checkpoint"),
+        ("--watch a_file", "checkpoint"),
+        ("--no-such-flag 1", "--no-such-flag"),
+    ],
+)
+def test_a_wrong_argument_is_named_in_one_line(arguments, mentions, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a_file").touch()
+    flag, *_ = arguments.split()
+    check_refusal(refusal(capsys, *arguments.split()), flag, mentions)
+    assert [p.name for p in tmp_path.iterdir()] == ["a_file"]
+
+
+def test_a_wrong_call_as_the_user_sees_it(tmp_path):
+    for arguments, *mentions in [
+        ("--env-id Ant-v99", "ppo_continuous.py: error: argument --env-id: got Ant-v99", "Ant"),
+        ("--seed 1 --total-steps 9", "ppo_continuous.py: error: argument --total-steps: got 9"),
+    ]:
+        process = run(SCRIPT, *arguments.split(), cwd=tmp_path, status=2)
+        check_refusal(process.err, *mentions)
+        assert process.out == ""
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("flag", ["--watch", "--resume"])
+def test_a_damaged_or_foreign_checkpoint_is_refused(flag, checkpoint, capsys):
+    whole = checkpoint.read_bytes()
+    content = torch.load(checkpoint, weights_only=True)
+    checkpoint.write_bytes(whole[: len(whole) // 2])
+    check_refusal(refusal(capsys, flag, checkpoint), f"argument {flag}: ", str(checkpoint))
+    torch.save({**content, "script": "a2c_vector"}, checkpoint)
+    check_refusal(refusal(capsys, flag, checkpoint), f"argument {flag}: ", "ppo_continuous.py")
+    torch.save([1, 2], checkpoint)
+    check_refusal(refusal(capsys, flag, checkpoint), f"argument {flag}: ")
+
+
+@pytest.mark.parametrize("flag", ["--watch", "--resume"])
+@pytest.mark.parametrize("other", ["--env-id Hopper-v5", "--gamma 0.5", "--seed 4"])
+def test_a_checkpoint_keeps_its_arguments(flag, other, checkpoint, capsys):
+    before = checkpoint.read_bytes()
+    error = refusal(capsys, flag, checkpoint, *other.split())
+    check_refusal(error, f"argument {other.split()[0]}: ", "as in the checkpoint")
+    assert checkpoint.read_bytes() == before
+
+
+class Malicious:
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize("flag", ["--watch", "--resume"])
+def test_a_checkpoint_cannot_run_code(flag, tmp_path, capsys):
+    checkpoint, victim = tmp_path / "checkpoint.pt", tmp_path / "victim"
+    content = {"script": "ppo_continuous", "args": {}, "agent": Malicious(victim)}
+    for save in torch.save, lambda x, path: path.write_bytes(pickle.dumps(x)):
+        save(content, checkpoint)
+        check_refusal(refusal(capsys, flag, checkpoint), f"argument {flag}: ")
+        assert not victim.exists()
+    pickle.loads(checkpoint.read_bytes())
+    assert victim.exists()  # it would have
+
+
+@pytest.mark.parametrize(
+    ("world", "step", "reason"),
+    [("FailsLate", 40, "pole broke"), ("TurnsNaN", 40, "NaN"), ("FailsEarly", 2, "pole broke")],
+)
+def test_a_failing_environment_is_reported(world, step, reason, tmp_path):
+    options = "--env-id", f"harness:{world}-v0", "--total-steps", 512, "--eval-every", 0
+    process = run(SCRIPT, *SMALL, *options, cwd=tmp_path, status=1)
+    last = process.err.splitlines()[-1]
+    assert re.search(rf"error: environment 0\b.* step {step}\b.*{reason}", last)
+    assert "Traceback" not in process.err
+    saved = list(tmp_path.glob("runs/*/seed-1/checkpoint.pt"))
+    assert len(saved) == (step > 32)
+    assert all(str(path.relative_to(tmp_path)) in process.out for path in saved)
+
+
+# --- Learning -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("squash", ["tanh", "clip"])
+def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
+    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
+    options += " --rollout-steps 64 --minibatch-size 64 --eval-every 0 --learning-rate 3e-3"
+    args, _ = ppo.parse_args(options.split())
+    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > -0.03
+    checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
+    agent = ppo.make_agent(args, gym.make(args.env_id))
+    agent.load_state_dict(checkpoint["agent"])
+    _, actions = agent["policy"].act(np.float32([[0, 0], [0.5, 0]]), deterministic=True)
+    assert np.abs(actions - TARGET).max() < 0.2
+
+
+def test_it_learns_to_balance_a_pole(tmp_path):
+    options = "--env-id InvertedPendulum-v5 --total-steps 24576 --num-envs 8 --rollout-steps 128"
+    options += " --minibatch-size 128 --eval-every 0"
+    args, _ = ppo.parse_args(options.split())
+    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > 300
+    episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
+    assert episodes[-20:].mean() > 5 * episodes[:20].mean()
+
+
+# --- Repository -----------------------------------------------------------------------------------
+
+
+def test_the_script_and_requirements_txt_ask_for_the_same_packages():
+    block = re.search(r"(?ms)^# /// script\n(.*?)^# ///$", (ROOT / SCRIPT).read_text()).group(1)
+    inline = re.findall(r'(?m)^#     "(.*)",$', block)
+    lines = (ROOT / "requirements.txt").read_text().splitlines()
+    listed = [line for line in lines if line and not line.startswith(("#", "pytest"))]
+    assert len(inline) > 5
+    assert sorted(inline) == sorted(listed)
+
+
+# Where the scripts differ on purpose: this is the algorithm.
+DIFFERENT = {"train", "parse_args"}
+
+
+@pytest.mark.parametrize("other", ["a2c_vector.py", "reinforce_mujoco.py"])
+def test_functions_of_the_same_name_have_the_same_source(other):
+    if not (ROOT / other).exists():
+        pytest.skip(f"no {other} yet")
+
+    def sources(path):
+        text = (ROOT / path).read_text()
+        nodes = [x for x in ast.parse(text).body if isinstance(x, ast.FunctionDef | ast.ClassDef)]
+        return {node.name: ast.get_source_segment(text, node) for node in nodes}
+
+    ours, theirs = sources(SCRIPT), sources(other)
+    for name in ours.keys() & theirs.keys() - DIFFERENT:
+        assert ours[name] == theirs[name], name
