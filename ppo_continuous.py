@@ -502,7 +502,7 @@ def parse_args(argv=None):
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
     add("--env-id", default="InvertedDoublePendulum-v5", help="also my_module:MyEnv-v0")
-    add("--total-steps", type=number(int, 1), default=200_000, help="of all environments together")
+    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments together")
     add("--num-envs", type=number(int, 1), default=16, help="N, environments stepped together")
     add("--rollout-steps", type=number(int, 1), default=128, help="T, steps of each in a rollout")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout")
@@ -520,7 +520,7 @@ def parse_args(argv=None):
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
     add("--std-speed", type=number(float, 0.01), default=0.3, help="of σ's learning, against μ's")
     add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
-    add("--eval-every", type=number(int, 0), default=25, help="updates; 0: only at the end")
+    add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="a GPU is slower for networks this small")
     add("--out-dir", default="runs", help="where run folders are made")

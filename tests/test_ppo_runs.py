@@ -421,7 +421,7 @@ def test_a_failing_environment_is_reported(world, step, reason, tmp_path):
 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
 def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
-    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
+    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --log-std -1.5 --squash {squash}"
     options += " --rollout-steps 64 --minibatch-size 64 --eval-every 0 --learning-rate 3e-3"
     args, _ = ppo.parse_args(options.split())
     ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
