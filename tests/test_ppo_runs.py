@@ -212,6 +212,27 @@ def test_a_run_killed_at_any_three_moments_is_resumed_without_gap_or_repeat(tmp_
     np.testing.assert_allclose(metrics["learning_rate"], 1e-3 * (1 - np.arange(150) / 150))
 
 
+def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monkeypatch):
+    """Random kills hardly ever hit the moment between the rows of an update and its checkpoint."""
+    args, _ = ppo.parse_args([*THREE_STEPS, "--total-steps", str(8 * BATCH), "--eval-every", "1"])
+    folder, stop, save = tmp_path / "seed-1", threading.Event(), ppo.save_checkpoint
+
+    def die_at_update_4(folder, args, seed, update, *rest):
+        if update == 4:
+            raise KeyboardInterrupt
+        save(folder, args, seed, update, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo, "save_checkpoint", die_at_update_4)
+        with pytest.raises(KeyboardInterrupt):
+            ppo.train(args, 1, folder, stop)
+    assert len(pd.read_csv(folder / "metrics.csv")) == 4
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    assert checkpoint["update"] == 3
+    ppo.train(args, 1, folder, stop, checkpoint)
+    assert check_tables(folder) == 8 * BATCH
+
+
 def test_resuming_a_finished_run_is_refused_and_changes_nothing(folder, capsys):
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     checkpoint = folder / "seed-3/checkpoint.pt"
@@ -421,8 +442,8 @@ def test_a_failing_environment_is_reported(world, step, reason, tmp_path):
 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
 def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
-    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --log-std -1.5 --squash {squash}"
-    options += " --rollout-steps 64 --minibatch-size 64 --eval-every 0 --learning-rate 3e-3"
+    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
+    options += " --rollout-steps 64 --minibatch-size 64 --learning-rate 3e-3 --log-std -1.5"
     args, _ = ppo.parse_args(options.split())
     ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > -0.03
