@@ -16,24 +16,26 @@
 Learns:   InvertedDoublePendulum-v5 (RESULT)
 Command:  python ppo_continuous.py --seed 1
 
-The algorithm, with observations s, Gaussian samples u, actions a = g(u) within their bounds,
-rewards r, policy π and critic V:
-  1. Play T steps in N environments with the policy π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t).
-  2. Divide r by the running standard deviation of the return so far,  G_t = r_t + γ·G_{t−1}.
-  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)      (a time limit does not end the world)
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)  (done: terminated or out of time)
-  5. Several times: 3, 4, then for each minibatch of the B = T·N rows  ρ = π(u|s) / π_old(u|s),
-  6.   end the update once π has moved too far from π_old:  E[ρ − 1 − log ρ] > 1.5·target_kl
-  7.   Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π), gradient clipped
-  8. Update the mean and variance that normalise s, lower the learning rate, go to 1.
+The algorithm. For a state s the policy π draws a Gaussian sample u, the environment gets the action
+a = g(u) and returns a reward r; the critic V(s) predicts the discounted sum of rewards to come.
+  1. Play T steps in N environments with π, from now on π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t)
+  2. Divide r by the running std of G_t = r_t + γ·G_{t−1}, which starts anew in each episode.
+  Several times:
+  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
+  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
+       For each minibatch, A standardised, with the ratio ρ = π(u|s) / π_old(u|s):
+  5.     end the update if π is too far from π_old:  KL ≈ E[ρ − 1 − log ρ] > 1.5·target_kl
+  6.     Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π)
+  7. Update the mean and variance that normalise s, lower the learning rate, go to 1.
+terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
 
-= A2C plus: (5) several epochs of minibatches per rollout, (6) the limit on the KL divergence,
-(7) the clipped objective. Unlike [1], 3 and 4 are done anew before each epoch, with the critic as
-it is by then ([6]). Left out on purpose: recurrent or shared networks, images, logging services,
-discrete actions (a2c_vector.py has them).
+= A2C (a2c_vector.py) plus: several epochs of minibatches per rollout, the KL limit (5), the clipped
+objective (6). Unlike [1], each epoch repeats 3 and 4 with the critic as it is by then ([6]).
+Left out on purpose: recurrent or shared networks, images, discrete actions, logging services.
 
-Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D observation dimensions,
-             A action dimensions.
+Symbols:     γ discount, λ trust in rewards (1) against V (0), ε clip range, H entropy.
+Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D dimensions of a state,
+             K dimensions of an action.
 Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
 References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
              [2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized
@@ -52,6 +54,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime
@@ -74,7 +77,7 @@ SCRIPT = Path(__file__).stem
 
 
 class CheckedEnv(gym.Wrapper):
-    """Says which environment failed, and when. Drops the infos, unread: that pays for it."""
+    """Says which environment failed, and when. It drops the unread infos, which saves that time."""
 
     def __init__(self, env, index):
         super().__init__(env)
@@ -99,7 +102,10 @@ def make_envs(env_id, num_envs):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose (`stream`) of a run; runs and purposes share none."""
+    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+
+    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at update k.
+    """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -142,7 +148,7 @@ def mlp(inputs, hidden, outputs, output_gain):
 
 
 class Policy(nn.Module):
-    """π(u|s) = N(μ(s), σ²) over the latent action u (…, A); the environment gets a = g(u).
+    """π(u|s) = N(μ(s), σ²) over the latent action u (…, K); the environment gets a = g(u).
 
     PPO needs π of u only: the density of a has the Jacobian of g as one more factor, the same for
     π and π_old, which cancels in ρ. (An entropy bonus does differ: H is that of u.)
@@ -154,15 +160,15 @@ class Policy(nn.Module):
     def __init__(self, norm, action_space, hidden, log_std, std_speed, squash):
         super().__init__()
         self.norm, self.std_speed, self.squash = norm, std_speed, squash
-        self.mean = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
+        self.mean_net = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
         self.slow_log_std = nn.Parameter(torch.full(action_space.shape, log_std / std_speed))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
     def forward(self, obs):
-        """Observations (…, D) -> the distribution of u (…, A), whose dimensions are independent."""
+        """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         log_std = (self.std_speed * self.slow_log_std).clamp(-10, 2)
-        mean = self.mean(self.norm(obs))
+        mean = self.mean_net(self.norm(obs))
         return torch.distributions.Normal(mean, log_std.exp(), validate_args=False)
 
     def bound(self, latents):
@@ -172,7 +178,7 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy latents u (N, A), actions a (N, A); deterministic: u = μ(s)."""
+        """NumPy (N, D) -> NumPy latents u (N, K), actions a (N, K); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         latents = distribution.mean if deterministic else distribution.sample()
         return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
@@ -195,7 +201,8 @@ def make_agent(args, env):
     norm = RunningNorm(env.observation_space.shape)
     policy = Policy(norm, env.action_space, args.hidden_size, args.log_std,
                     args.std_speed, args.squash)
-    agent = {"policy": policy, "critic": Critic(norm, args.hidden_size), "returns": RunningNorm(())}
+    critic = Critic(norm, args.hidden_size)
+    agent = {"policy": policy, "critic": critic, "reward_norm": RunningNorm(())}
     return nn.ModuleDict(agent).to(args.device)
 
 
@@ -205,38 +212,40 @@ def make_agent(args, env):
 def rollout(envs, policy, obs, num_steps, env_step):
     """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
 
-    Returns the real transitions, six tensors (T, N, …): states, latents, rewards, next_states,
-    terminated, done; the next observations; and (env_step, return, length) per ended episode.
+    Returns the real transitions, a dict of tensors (T, N, …); the observations to go on from; and
+    a row (env_step, return, length) for each episode that ended.
     """
     transitions, episodes = [], []
     for _ in range(num_steps):
         latents, actions = policy.act(obs)
-        reset_obs, rewards, terminated, truncated, infos = envs.step(actions)
-        env_step += len(obs)
-        next_obs = reset_obs.copy()
-        for i in np.flatnonzero(terminated | truncated):  # there reset_obs begins the next episode
+        new_obs, rewards, terminated, truncated, infos = envs.step(actions)
+        env_step, done, next_obs = env_step + len(obs), terminated | truncated, new_obs.copy()
+        for i in np.flatnonzero(done):  # there new_obs[i] begins the next episode
             next_obs[i] = infos["final_obs"][i]
             episodes.append((env_step, infos["episode"]["r"][i], infos["episode"]["l"][i]))
-        transitions.append((obs, latents, rewards, next_obs, terminated, terminated | truncated))
-        obs = reset_obs
+        transitions.append((obs, latents, rewards, next_obs, terminated, done))
+        obs = new_obs
     columns = [torch.as_tensor(np.stack(x), device=policy.low.device) for x in zip(*transitions)]
-    return [x if x.dtype == torch.bool else x.float() for x in columns], obs, episodes
+    columns = [x if x.dtype == torch.bool else x.float() for x in columns]
+    names = "states", "latents", "rewards", "next_states", "terminated", "done"
+    return dict(zip(names, columns)), obs, episodes
 
 
 # --- Returns and advantages -----------------------------------------------------------------------
 
 
-def scale_rewards(rewards, done, carry, return_norm, gamma):
+def scale_rewards(rewards, done, carry, reward_norm, gamma):
     """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
 
+    G looks back, unlike what V predicts, so it is known at once; it only serves to find the scale.
     `carry` (N,), γ·G from the rollout before, is returned for the next one.
     """
-    returns = torch.empty_like(rewards)
+    scales = torch.empty_like(rewards)
     for t in range(len(rewards)):
-        returns[t] = rewards[t] + carry
-        carry = gamma * torch.where(done[t], 0.0, returns[t])
-    return_norm.update(returns.flatten())
-    return rewards / return_norm.var.sqrt(), carry
+        scales[t] = rewards[t] + carry
+        carry = gamma * torch.where(done[t], 0.0, scales[t])
+    reward_norm.update(scales.flatten())
+    return rewards / reward_norm.var.sqrt(), carry
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -245,12 +254,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     """
-    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # line 3
-    advantages, advantage = torch.empty_like(deltas), torch.zeros_like(deltas[0])
-    for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + gamma * gae_lambda * torch.where(done[t], 0.0, advantage)  # line 4
-        advantages[t] = advantage
-    return advantages
+    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # step 3
+    advantages, advantage = [], torch.zeros_like(deltas[0])
+    for delta, ended in zip(deltas.flip(0), done.flip(0)):  # from the last step to the first
+        advantage = delta + gamma * gae_lambda * advantage.masked_fill(ended, 0.0)  # step 4
+        advantages.append(advantage)
+    return torch.stack(advantages).flip(0)
 
 
 # --- Loss -----------------------------------------------------------------------------------------
@@ -262,28 +271,30 @@ def policy_loss(ratio, advantages, clip_eps):
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
 
 
-def value_loss(values, old_values, returns, clip_eps):
+def value_loss(values, old_values, targets, clip_eps):
     """E[(V − R)²]; with ε > 0 the larger of it and that of V within ±ε of V_old; (M,) each."""
-    errors = (values - returns) ** 2
+    errors = (values - targets) ** 2
     if clip_eps > 0:
         clipped_values = old_values + (values - old_values).clamp(-clip_eps, clip_eps)
-        errors = torch.max(errors, (clipped_values - returns) ** 2)
+        errors = torch.max(errors, (clipped_values - targets) ** 2)
     return errors.mean()
 
 
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] on samples of π_old: never negative, little noise ([4])."""
-    return (log_ratio.exp() - 1 - log_ratio).mean()
+    return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) = exp(x) − 1, exact near 0
 
 
 # --- Training -------------------------------------------------------------------------------------
 
 
 def minibatches(transitions, policy, critic, args):
-    """Lines 3 to 5. Each epoch takes advantages from the critic as it is by then, shuffles the rows
-    and cuts them into ⌊B / minibatch size⌋ nearly equal parts: every row once, tensors (M, …).
+    """Yields minibatches of at least `minibatch_size` rows, each row once an epoch; tensors (M, …).
+
+    A generator: what stands in the loop runs after the caller has learned from the epoch before, so
+    each epoch takes its advantages from the critic as it is by then.
     """
-    states, latents, rewards, next_states, terminated, done = transitions
+    states, latents, rewards, next_states, terminated, done = transitions.values()
     old_log_probs = policy(states).log_prob(latents).sum(-1).detach()
     for _ in range(args.epochs):
         values, next_values = critic(states).detach(), critic(next_states).detach()
@@ -296,30 +307,30 @@ def minibatches(transitions, policy, critic, args):
 
 
 def optimise(agent, optimizer, transitions, args):
-    """Lines 3 to 7. Returns each diagnostic's mean over the minibatches that were learned from."""
+    """Steps 3 to 6. Returns each diagnostic's mean over the minibatches that were learned from."""
     policy, critic, logs = agent["policy"], agent["critic"], []
     for rows in minibatches(transitions, policy, critic, args):
-        states, latents, old_log_probs, old_values, advantages, returns = rows
+        states, latents, old_log_probs, old_values, advantages, targets = rows
         distribution = policy(states)
         log_ratio = distribution.log_prob(latents).sum(-1) - old_log_probs  # 0 until the first step
         ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
-        if 0 < args.target_kl < kl / 1.5:  # line 6
+        if 0 < args.target_kl < kl / 1.5:  # step 5
             break
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         loss_pi = policy_loss(ratio, advantages, args.clip_eps)
-        loss_v = value_loss(critic(states), old_values, returns, args.value_clip_eps)
+        loss_v = value_loss(critic(states), old_values, targets, args.value_clip_eps)
         entropy = distribution.entropy().sum(-1).mean()
         optimizer.zero_grad()
-        (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # line 7
-        norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
-        if not norm.isfinite():
+        (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # step 6
+        grad_norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
+        if not grad_norm.isfinite():
             sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
         optimizer.step()
         logs.append({
             "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
-            "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(), "grad_norm": norm,
-            "explained_variance": 1 - (returns - old_values).var() / returns.var(),
-            "policy_std": distribution.stddev.mean()})
+            "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(),
+            "explained_variance": 1 - (targets - old_values).var() / targets.var(),
+            "grad_norm": grad_norm, "policy_std": distribution.stddev.mean()})
     return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
 
 
@@ -330,28 +341,30 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
     folder.mkdir(exist_ok=True)
     T, N = args.rollout_steps, args.num_envs
     num_updates = math.ceil(args.total_steps / (T * N))
-    envs, eval_env = make_envs(args.env_id, N), gym.make(args.env_id)
+    envs, eval_env = make_envs(args.env_id, N), CheckedEnv(gym.make(args.env_id), "of evaluation")
     agent = make_agent(args, eval_env)
     optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
-    first, seconds = restore(checkpoint, folder, agent, optimizer) if checkpoint else (0, 0.0)
+    first, seconds, evaluation = 0, 0.0, {}
+    if checkpoint:
+        first, seconds, evaluation = restore(checkpoint, folder, agent, optimizer)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2 + first, count=N))
-    carry, recent, evaluation = torch.zeros(N, device=args.device), [math.nan], {}
+    env_step, carry, recent = first * T * N, torch.zeros(N, device=args.device), []
     clock = time.perf_counter()
     bar = tqdm(range(first, num_updates), f"seed {seed}", num_updates, initial=first, unit="step",
                unit_scale=T * N, position=bar_position)
     for update in bar:
-        optimizer.param_groups[0]["lr"] = args.learning_rate * (1 - update / num_updates)
-        env_step = update * T * N
-        transitions, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # line 1
-        states, latents, rewards, next_states, terminated, done = transitions
-        rewards, carry = scale_rewards(rewards, done, carry, agent["returns"], args.gamma)  # line 2
-        transitions = states, latents, rewards, next_states, terminated, done
+        learning_rate = args.learning_rate * (1 - update / num_updates)  # step 7, for the next
+        optimizer.param_groups[0]["lr"] = learning_rate
+        batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
+        batch["rewards"], carry = scale_rewards(
+            batch["rewards"], batch["done"], carry, agent["reward_norm"], args.gamma)  # step 2
+        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 6
+        agent["policy"].norm.update(batch["states"].flatten(0, 1))  # step 7, and no sooner
         env_step += T * N
-        metrics = {"env_step": env_step, **optimise(agent, optimizer, transitions, args)}
-        agent["policy"].norm.update(states.flatten(0, 1))  # line 8: π and π_old saw the same inputs
-        metrics["learning_rate"] = optimizer.param_groups[0]["lr"]
-        metrics["steps_per_second"] = T * N / (time.perf_counter() - clock)
-        seconds += time.perf_counter() - clock
+        duration = time.perf_counter() - clock
+        seconds += duration
+        metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
+                   "steps_per_second": T * N / duration}
 
         last = update + 1 == num_updates or stop.is_set()
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
@@ -361,9 +374,11 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
         clock = time.perf_counter()  # evaluation is not training, all else is
         append_rows(folder / "metrics.csv", [metrics])
         append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
-        save_checkpoint(folder, args, seed, update + 1, seconds, agent, optimizer)
+        progress = update + 1, seconds, evaluation
+        save_checkpoint(folder, args, seed, progress, agent, optimizer)
         recent = (recent + [row[1] for row in episodes])[-20:]
-        bar.set_postfix(train=np.mean(recent), evaluation=evaluation.get("return_mean", math.nan))
+        evaluated = evaluation.get("return_mean", math.nan)
+        bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
         if last:
             break
     result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
@@ -392,25 +407,27 @@ def play(policy, env, seed=None, frames=None):
 def evaluate(policy, env, seeds):
     """One deterministic episode per seed, on an environment that training never sees."""
     returns, lengths = zip(*(play(policy, env, seed) for seed in seeds))
-    return {"return_mean": np.mean(returns), "return_std": np.std(returns),
-            "length_mean": np.mean(lengths), "episodes": len(seeds)}
+    return {"return_mean": float(np.mean(returns)), "return_std": float(np.std(returns)),
+            "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
 
 
 def watch(args, checkpoint):
     """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
     window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
     os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
+    agent = make_agent(args, gym.make(args.env_id))
+    agent.load_state_dict(checkpoint["agent"])
     gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
     try:
         env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
-        agent = make_agent(args, env)
-        agent.load_state_dict(checkpoint["agent"])
         print("return {:.1f} in {} steps".format(*play(agent["policy"], env, frames=frames)))
     except Exception as error:  # every graphics library fails in its own way
         sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
     if frames:
-        frames = frames[::math.ceil(env.metadata["render_fps"] / 25)]  # 25 a second, 40 ms each
-        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=40, loop=0)
+        fps = env.metadata["render_fps"]
+        frames = frames[:: math.ceil(fps / 25)]
+        pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
+        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
         print(gif)
 
 
@@ -427,11 +444,11 @@ def plot(folder):
     for table in ("episodes", "evals", "metrics"):
         files = sorted(folder.glob(f"seed-*/{table}.csv"))
         data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        if data.empty:
+            continue  # an early Ctrl-C: no episode has ended yet
         width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
         data["env_step"] = np.ceil(data["env_step"] / width) * width
         data = data.groupby(["seed", "env_step"], as_index=False).mean()
-        if data.empty:
-            continue  # an early Ctrl-C: no episode has ended yet
         for column in data.columns.drop(["seed", "env_step", "episodes"], errors="ignore"):
             axis = next(axes)
             lines = {"data": data, "x": "env_step", "y": column, "ax": axis}
@@ -458,24 +475,25 @@ def append_rows(path, rows, columns=None):
         pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
 
 
-def save_checkpoint(folder, args, seed, update, seconds, agent, optimizer):
+def save_checkpoint(folder, args, seed, progress, agent, optimizer):
     """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
-    content = {"script": SCRIPT, "args": {**vars(args), "seed": [seed]}, "update": update,
-               "seconds": seconds, "agent": agent.state_dict(), "optimizer": optimizer.state_dict(),
-               "rng": torch.get_rng_state(),
+    here = ("resume", "watch", "device", "out_dir")  # what belongs to a call, not to the run
+    saved = {name: x for name, x in vars(args).items() if name not in here} | {"seed": [seed]}
+    content = {"script": SCRIPT, "args": saved, "progress": progress, "agent": agent.state_dict(),
+               "optimizer": optimizer.state_dict(), "rng": torch.get_rng_state(),
                "csv_bytes": {path.name: path.stat().st_size for path in folder.glob("*.csv")}}
     torch.save(content, folder / "checkpoint.tmp")
     os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
 
 
 def restore(checkpoint, folder, agent, optimizer):
-    """Go back to a checkpoint, CSV files too; returns the updates and seconds that led there."""
+    """Go back to a checkpoint, CSV files too; returns its updates, seconds, last evaluation."""
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])
     torch.set_rng_state(checkpoint["rng"].cpu())
     for path in folder.glob("*.csv"):
         os.truncate(path, checkpoint["csv_bytes"].get(path.name, 0))
-    return checkpoint["update"], checkpoint["seconds"]
+    return checkpoint["progress"]
 
 
 # --- Configuration --------------------------------------------------------------------------------
@@ -499,29 +517,30 @@ def parse_args(argv=None):
     parser.formatter_class = argparse.ArgumentDefaultsHelpFormatter
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
+    count, share, weight = number(int, 1), number(float, 0, 1), number(float, 0)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
     add("--env-id", default="InvertedDoublePendulum-v5", help="also my_module:MyEnv-v0")
-    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments together")
-    add("--num-envs", type=number(int, 1), default=16, help="N, environments stepped together")
-    add("--rollout-steps", type=number(int, 1), default=128, help="T, steps of each in a rollout")
-    add("--epochs", type=number(int, 1), default=10, help="passes over a rollout")
-    add("--minibatch-size", type=number(int, 2), default=256, help="M, rows of a gradient step")
-    add("--learning-rate", type=number(float, 0), default=1e-3, help="at first; falls to 0")
-    add("--gamma", type=number(float, 0, 1), default=0.99, help="γ, discount of rewards")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="λ: 0 trusts V, 1 rewards")
-    add("--clip-eps", type=number(float, 0), default=0.2, help="ε, range in which ρ pays off")
-    add("--target-kl", type=number(float, 0), default=0.02, help="limit / 1.5 on KL; 0: none")
-    add("--value-coef", type=number(float, 0), default=0.5, help="c_V, weight of the value loss")
-    add("--value-clip-eps", type=number(float, 0), default=0.0, help="same for V; 0: none")
-    add("--entropy-coef", type=number(float, 0), default=0.0, help="c_H, weight of the entropy")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are cut")
-    add("--hidden-size", type=number(int, 1), default=64, help="units in each hidden layer")
+    add("--total-steps", type=count, default=150_000, help="of all environments, rounded up")
+    add("--num-envs", type=count, default=16, help="N, environments stepped together")
+    add("--rollout-steps", type=count, default=128, help="T, steps of each in a rollout")
+    add("--epochs", type=count, default=10, help="passes over a rollout")
+    add("--minibatch-size", type=number(int, 2), default=512, help="M, rows of a gradient step")
+    add("--learning-rate", type=weight, default=1e-3, help="of Adam at first; it falls to 0")
+    add("--gamma", type=share, default=0.99, help="γ, discount of rewards")
+    add("--gae-lambda", type=share, default=0.95, help="λ, trust in rewards (1) or V (0)")
+    add("--clip-eps", type=weight, default=0.2, help="ε, clip range of the ratio ρ")
+    add("--target-kl", type=weight, default=0.02, help="1.5 times it ends an update; 0: no limit")
+    add("--value-coef", type=weight, default=0.5, help="c_V, weight of the value loss")
+    add("--value-clip-eps", type=weight, default=0.0, help="clip range of V; 0: no clipping")
+    add("--entropy-coef", type=weight, default=0.0, help="c_H, weight of the entropy")
+    add("--max-grad-norm", type=weight, default=0.5, help="longer gradients are shortened")
+    add("--hidden-size", type=count, default=64, help="units in each hidden layer")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="of σ's learning, against μ's")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="σ's pace of learning; μ's is 1")
     add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
     add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
-    add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
+    add("--eval-episodes", type=count, default=10, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="a GPU is slower for networks this small")
     add("--out-dir", default="runs", help="where run folders are made")
     add("--resume", metavar="CHECKPOINT", help="go on with a run, in its folder")
@@ -542,9 +561,7 @@ def parse_args(argv=None):
         flag = "resume" if args.resume else "watch"
         require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
         args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
-        done = checkpoint["update"] * args.num_envs * args.rollout_steps >= args.total_steps
-        require(flag, args.watch or not done, "a run that is not complete yet")
-        for name in saved.keys() - {"device", "out_dir", "resume", "watch"}:
+        for name in saved:
             require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
     try:
         env = gym.make(args.env_id)
@@ -559,7 +576,8 @@ def parse_args(argv=None):
     require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
     require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout, {batch_size}")
     require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
-    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    writable = folder.is_dir() and os.access(folder, os.W_OK)
+    require("out_dir", checkpoint or writable, "a folder to write to")
     return args, checkpoint
 
 
@@ -585,7 +603,7 @@ def main():
         record = {**vars(args), "command": sys.argv, "versions": versions()}
         (folder / "args.json").write_text(json.dumps(record, indent=2))
     context = multiprocessing.get_context("spawn")
-    stop = context.Event() if len(args.seed) == 1 else context.Manager().Event()
+    stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
     signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, checkpoint, i) for i, s in enumerate(args.seed)]
     try:

@@ -33,7 +33,7 @@ def play(env="ThreeSteps", options="", mean=None):
     """One rollout, of a policy with μ near `mean`: arguments, agent, transitions, episodes."""
     args, envs, obs, agent = make(env, options)
     if mean is not None:
-        agent["policy"].mean[-1].bias.data.fill_(mean)
+        agent["policy"].mean_net[-1].bias.data.fill_(mean)
     transitions, _, episodes = ppo.rollout(envs, agent["policy"], obs, args.rollout_steps, 0)
     return args, agent, transitions, episodes
 
@@ -97,7 +97,7 @@ def test_a_time_limit_is_bootstrapped():
 
 def test_terminated_and_out_of_time_at_once_is_not_bootstrapped():
     args, agent, transitions, _ = play("BothEnds")
-    _, _, rewards, _, terminated, done = transitions
+    _, _, rewards, _, terminated, done = transitions.values()
     assert torch.equal(terminated, done)
     values, next_values = torch.randn(2, *rewards.shape)
     advantages = ppo.compute_gae(rewards, values, next_values, terminated, done, 0.9, 0.95)
@@ -121,7 +121,7 @@ def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp
     checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     obs = torch.tensor([[0.0, steps] for steps in range(8)])
-    raw_values = agent["critic"](obs) * agent["returns"].var.sqrt()
+    raw_values = agent["critic"](obs) * agent["reward_norm"].var.sqrt()
     assert (raw_values - 10).abs().max() < 1, raw_values  # blind to the limit: at most 5.7
 
 
@@ -147,7 +147,8 @@ def rows_of(agent):
 
 def test_policies_acting_and_learning_see_the_same_density():
     """What rollout stores has the density that it was drawn from: N(μ(s), σ²), not clipped."""
-    _, agent, (states, latents, *_), _ = play(options="--log-std 1")
+    _, agent, transitions, _ = play(options="--log-std 1")
+    states, latents, *_ = transitions.values()
     noise = (latents - agent["policy"](states).mean) / math.exp(1.0)
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
@@ -155,7 +156,7 @@ def test_policies_acting_and_learning_see_the_same_density():
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
     old, new = (make_policy(f"--log-std {x}").double() for x in (-0.5, 0.2))
-    new.mean[-1].bias.data += 0.7
+    new.mean_net[-1].bias.data += 0.7
     obs = torch.randn(1000, 2, dtype=torch.float64)
     latents = old(obs).sample()
     action = torch.tanh(latents)
@@ -179,7 +180,8 @@ def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
 
 
 def test_policy_loss_starts_as_the_policy_gradient():
-    args, agent, (states, latents, *_), _ = play()
+    _, agent, transitions, _ = play()
+    states, latents, *_ = transitions.values()
     log_probs = agent["policy"](states.flatten(0, 1)).log_prob(latents.flatten(0, 1)).sum(-1)
     advantages = torch.randn(len(log_probs))
     parameters = list(agent["policy"].parameters())
@@ -228,7 +230,7 @@ def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
 
 def test_logged_entropy_and_std_are_those_of_the_latents():
     args, agent, transitions, _ = play(options="--log-std 0.3")
-    distribution = agent["policy"](transitions[0][0, :1])
+    distribution = agent["policy"](transitions["states"][0, :1])
     u = distribution.sample((200_000,))
     entropy = -distribution.log_prob(u).sum(-1).mean().item()
     metrics = ppo.optimise(agent, adam(agent, lr=0), transitions, args)
@@ -240,7 +242,7 @@ def test_logged_entropy_and_std_are_those_of_the_latents():
 def test_a_runaway_log_std_stays_finite(log_std):
     args, envs, obs, agent = make()
     (parameter,) = (p for p in agent["policy"].parameters() if p.shape == harness.ACTIONS.shape
-                    and p is not agent["policy"].mean[-1].bias)
+                    and p is not agent["policy"].mean_net[-1].bias)
     parameter.data.fill_(log_std)
     transitions, _, _ = ppo.rollout(envs, agent["policy"], obs, args.rollout_steps, 0)
     metrics = ppo.optimise(agent, adam(agent, lr=1e-3), transitions, args)
@@ -252,7 +254,7 @@ def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
     for target_kl in 0, 0.01:
         torch.manual_seed(0)
         args, agent, transitions, _ = play("Target", f"--epochs 20 --target-kl {target_kl}")
-        states, latents = transitions[0].flatten(0, 1), transitions[1].flatten(0, 1)
+        states, latents = transitions["states"].flatten(0, 1), transitions["latents"].flatten(0, 1)
         old = agent["policy"](states).log_prob(latents).sum(-1).detach()
         ppo.optimise(agent, adam(agent, lr=3e-3), transitions, args)
         log_ratio = agent["policy"](states).log_prob(latents).sum(-1) - old
@@ -265,7 +267,8 @@ def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
 
 def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked():
     args, agent, transitions, _ = play(options="--epochs 3")
-    transitions[1] = torch.arange(100.0).reshape(25, 4, 1).expand(25, 4, 2)  # latents name the row
+    rows = torch.arange(100.0).reshape(25, 4, 1)
+    transitions["latents"] = rows.expand(25, 4, 2)  # each latent names its row
     parts = list(ppo.minibatches(transitions, *rows_of(agent), args))
     assert [len(latents) for _, latents, *_ in parts] == [34, 33, 33] * 3
     orders = [torch.cat([p[1][:, 0] for p in parts[i : i + 3]]) for i in (0, 3, 6)]
@@ -276,9 +279,10 @@ def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked():
 
 def test_rows_of_a_minibatch_belong_together():
     args, agent, transitions, _ = play()
-    states, latents, rewards, *_ = transitions
-    transitions[4] = transitions[5] = torch.ones(25, 4, dtype=torch.bool)  # so that R = r
-    transitions[2] = states.sum(-1) + latents.sum(-1)
+    states, latents, rewards, *_ = transitions.values()
+    ends = torch.ones(25, 4, dtype=torch.bool)
+    transitions["terminated"] = transitions["done"] = ends  # so that R = r
+    transitions["rewards"] = states.sum(-1) + latents.sum(-1)
     for states, latents, old_log_probs, old_values, advantages, returns in ppo.minibatches(
         transitions, *rows_of(agent), args
     ):
@@ -301,9 +305,10 @@ def test_advantages_are_taken_anew_from_the_critic_of_each_epoch():
     critic = agent["critic"]
     for rows in ppo.minibatches(transitions, *rows_of(agent), args):
         _, _, _, old_values, advantages, returns = rows
-        values, next_values = critic(transitions[0]), critic(transitions[3])
+        values, next_values = critic(transitions["states"]), critic(transitions["next_states"])
         expected = ppo.compute_gae(
-            transitions[2], values, next_values, *transitions[4:], args.gamma, args.gae_lambda
+            transitions["rewards"], values, next_values, transitions["terminated"],
+            transitions["done"], args.gamma, args.gae_lambda,
         )
         order = torch.argsort(advantages), torch.argsort(expected.flatten())
         torch.testing.assert_close(advantages[order[0]], expected.flatten()[order[1]])
@@ -381,7 +386,7 @@ def test_the_edges_of_the_latents_are_exactly_the_bounds_of_the_actions(squash, 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
 def test_no_environment_gets_an_action_out_of_bounds_though_latents_may_be(squash):
     _, _, transitions, _ = play(options=f"--squash {squash} --log-std 2", mean=30.0)
-    assert transitions[1].abs().max() > 30  # the latents; the world asserts its bounds
+    assert transitions["latents"].abs().max() > 30  # the latents; the world asserts its bounds
 
 
 def test_deterministic_actions_are_those_of_the_mean():
@@ -399,7 +404,8 @@ def test_deterministic_actions_are_those_of_the_mean():
 @pytest.mark.parametrize("env", ["ThreeSteps", "Forever"])
 def test_every_row_is_a_real_transition(env):
     """The world shows (episode, steps since its start): what each row must look like is known."""
-    args, agent, (states, _, rewards, next_states, terminated, done), _ = play(env)
+    _, _, transitions, _ = play(env)
+    states, _, rewards, next_states, terminated, done = transitions.values()
     length = {"ThreeSteps": 3, "Forever": 8}[env]
     assert (states[0, :, 1] == 0).all()
     assert torch.equal(next_states[..., 0], states[..., 0])  # the same episode, also at its end

@@ -7,6 +7,7 @@ import json
 import pickle
 import random
 import re
+import shutil
 import signal
 import sys
 import threading
@@ -69,8 +70,8 @@ def test_a_run_folder_holds_every_file_with_every_column(folder):
     columns = {
         "episodes": "env_step return length",
         "evals": "env_step return_mean return_std length_mean episodes",
-        "metrics": "env_step policy_loss value_loss entropy approx_kl clip_fraction grad_norm "
-        "explained_variance policy_std learning_rate steps_per_second",
+        "metrics": "env_step policy_loss value_loss entropy approx_kl clip_fraction "
+        "explained_variance grad_norm policy_std learning_rate steps_per_second",
     }
     for name, expected in columns.items():
         data = pd.read_csv(folder / f"seed-3/{name}.csv")
@@ -105,7 +106,7 @@ def test_metrics_have_a_row_an_update_and_the_learning_rate_falls_but_not_to_0(f
 
 def test_statistics_count_every_real_observation_once(folder):
     agent = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)["agent"]
-    assert agent["policy.norm.count"] == agent["returns.count"] == 512
+    assert agent["policy.norm.count"] == agent["reward_norm.count"] == 512
 
 
 def test_no_episode_has_to_end_in_a_run(tmp_path):
@@ -217,10 +218,10 @@ def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monk
     args, _ = ppo.parse_args([*THREE_STEPS, "--total-steps", str(8 * BATCH), "--eval-every", "1"])
     folder, stop, save = tmp_path / "seed-1", threading.Event(), ppo.save_checkpoint
 
-    def die_at_update_4(folder, args, seed, update, *rest):
-        if update == 4:
+    def die_at_update_4(folder, args, seed, progress, *rest):
+        if progress[0] == 4:
             raise KeyboardInterrupt
-        save(folder, args, seed, update, *rest)
+        save(folder, args, seed, progress, *rest)
 
     with monkeypatch.context() as patch:
         patch.setattr(ppo, "save_checkpoint", die_at_update_4)
@@ -228,16 +229,19 @@ def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monk
             ppo.train(args, 1, folder, stop)
     assert len(pd.read_csv(folder / "metrics.csv")) == 4
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
-    assert checkpoint["update"] == 3
+    assert checkpoint["progress"][0] == 3
     ppo.train(args, 1, folder, stop, checkpoint)
     assert check_tables(folder) == 8 * BATCH
 
 
-def test_resuming_a_finished_run_is_refused_and_changes_nothing(folder, capsys):
-    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    checkpoint = folder / "seed-3/checkpoint.pt"
-    check_refusal(refusal(capsys, "--resume", checkpoint), "argument --resume: ", str(checkpoint))
-    assert before == {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+def test_resuming_a_finished_run_adds_no_row_and_brings_back_its_summary(folder, tmp_path):
+    """A run can be killed between its last checkpoint and its summary."""
+    copy = shutil.copytree(folder, tmp_path / "run")
+    (copy / "seed-3/summary.json").unlink()
+    run(SCRIPT, "--resume", copy / "seed-3/checkpoint.pt", cwd=tmp_path)
+    for name in "episodes.csv", "metrics.csv", "evals.csv":
+        assert (copy / "seed-3" / name).read_bytes() == (folder / "seed-3" / name).read_bytes()
+    assert read_json(copy / "seed-3/summary.json") == read_json(folder / "seed-3/summary.json")
 
 
 # --- Checkpoints, watching ------------------------------------------------------------------------
@@ -247,7 +251,7 @@ import argparse, json, sys
 import gymnasium as gym, numpy as np, torch
 import ppo_continuous as ppo
 checkpoint = torch.load(sys.argv[1], weights_only=True)
-args = argparse.Namespace(**checkpoint["args"])
+args = argparse.Namespace(**checkpoint["args"], device="cpu")
 agent = ppo.make_agent(args, gym.make(args.env_id))
 agent.load_state_dict(checkpoint["agent"])
 print(json.dumps(agent["policy"].act(np.load(sys.argv[2]), deterministic=True)[1].tolist()))
@@ -258,8 +262,8 @@ def test_a_new_process_acts_like_the_one_that_trained(tmp_path, monkeypatch):
     obs, last = np.random.default_rng(0).normal(size=(100, 4)), []
     save = ppo.save_checkpoint
 
-    def save_and_act(folder, args, seed, update, seconds, agent, optimizer):
-        save(folder, args, seed, update, seconds, agent, optimizer)
+    def save_and_act(folder, args, seed, progress, agent, optimizer):
+        save(folder, args, seed, progress, agent, optimizer)
         last[:] = agent["policy"].act(obs, deterministic=True)[1].tolist()
 
     monkeypatch.setattr(ppo, "save_checkpoint", save_and_act)
@@ -274,10 +278,7 @@ def test_a_new_process_acts_like_the_one_that_trained(tmp_path, monkeypatch):
 
 @pytest.fixture
 def checkpoint(folder, tmp_path):
-    """A checkpoint of a run that has not come to its end."""
-    content = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)
-    torch.save({**content, "update": 2}, tmp_path / "checkpoint.pt")
-    return tmp_path / "checkpoint.pt"
+    return Path(shutil.copy(folder / "seed-3/checkpoint.pt", tmp_path))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window opens")
