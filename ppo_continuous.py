@@ -513,7 +513,8 @@ def number(kind, low, high=1e12):
 
 def parse_args(argv=None):
     """The arguments and the checkpoint they name; what cannot work ends in one line, status 2."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    title, _ = __doc__.split("\n", 1)
+    parser = argparse.ArgumentParser(usage="%(prog)s [options]", description=title)
     parser.formatter_class = argparse.ArgumentDefaultsHelpFormatter
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
@@ -610,9 +611,11 @@ def main():
         if len(jobs) == 1:
             train(*jobs[0])
         else:
-            workers = os.cpu_count(), context, start_worker, (context.RLock(),)
-            with ProcessPoolExecutor(*workers) as pool:
-                list(pool.map(train, *zip(*jobs)))
+            lock = context.RLock()
+            with ProcessPoolExecutor(os.cpu_count(), context, start_worker, (lock,)) as pool:
+                futures = [pool.submit(train, *job) for job in jobs]
+            for future in futures:
+                future.result()  # raises what has ended that seed, after all others are done
     finally:
         if any(folder.glob("*/evals.csv")):
             plot(folder)
