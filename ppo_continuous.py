@@ -13,8 +13,10 @@
 # ///
 """PPO for continuous control: proximal policy optimisation, in one file.
 
-Learns:   InvertedDoublePendulum-v5 (RESULT)
-Command:  python ppo_continuous.py --seed 1
+Learns:   InvertedDoublePendulum-v5 in 151,552 steps: 9321 to 9326 of about 9350 points with the
+          seeds 1 to 5 (deterministic, 10 episodes each), 20 seconds a seed, two at a time on a
+          2-core AMD EPYC; Python 3.11, torch 2.13, Gymnasium 1.4, MuJoCo 3.15.
+Command:  python ppo_continuous.py --seed 1 2 3 4 5
 
 The algorithm. For a state s the policy π draws a Gaussian sample u, the environment gets the action
 a = g(u) and returns a reward r; the critic V(s) predicts the discounted sum of rewards to come.
@@ -337,7 +339,7 @@ def optimise(agent, optimizer, transitions, args):
 def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
     """Train one seed into `folder`, from a checkpoint if given, until done or `stop` is set."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
-    torch.empty(2**22)  # after it frees 16 MB once, glibc's malloc keeps what later tensors free: +15%
+    torch.empty(2**22)  # 16 MB freed at once teach glibc's malloc to keep what later tensors free
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
     T, N = args.rollout_steps, args.num_envs
