@@ -178,6 +178,8 @@ def plot(curves, path):
                        col="env_id", col_wrap=min(4, curves["env_id"].nunique()), height=2.6,
                        aspect=1.3, facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_axis_labels("environment steps", "evaluation return (raw)")
+    for axis in grid.axes.flat:
+        axis.locator_params(axis="x", nbins=4)  # else the labels of small panels overlap
     grid.savefig(path, dpi=100)
 
 
