@@ -339,7 +339,6 @@ def optimise(agent, optimizer, transitions, args):
 def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
     """Train one seed into `folder`, from a checkpoint if given, until done or `stop` is set."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
-    torch.empty(2**22)  # 16 MB freed at once teach glibc's malloc to keep what later tensors free
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
     T, N = args.rollout_steps, args.num_envs
