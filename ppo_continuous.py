@@ -79,7 +79,7 @@ SCRIPT = Path(__file__).stem
 
 
 class CheckedEnv(gym.Wrapper):
-    """Says which environment failed, and when. It drops the unread infos, which saves that time."""
+    """Says which environment failed, and when. Drops the infos: nobody reads them."""
 
     def __init__(self, env, index):
         super().__init__(env)
@@ -355,13 +355,14 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
     bar = tqdm(range(first, num_updates), f"seed {seed}", num_updates, initial=first, unit="step",
                unit_scale=T * N, position=bar_position)
     for update in bar:
-        learning_rate = args.learning_rate * (1 - update / num_updates)  # step 7, for the next
+        learning_rate = args.learning_rate * (1 - update / num_updates)  # the end of step 7
         optimizer.param_groups[0]["lr"] = learning_rate
         batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
         batch["rewards"], carry = scale_rewards(
             batch["rewards"], batch["done"], carry, agent["reward_norm"], args.gamma)  # step 2
         diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 6
-        agent["policy"].norm.update(batch["states"].flatten(0, 1))  # step 7, and no sooner
+        # Step 7 comes only now: while ρ is computed, π and π_old must see the same inputs.
+        agent["policy"].norm.update(batch["states"].flatten(0, 1))
         env_step += T * N
         duration = time.perf_counter() - clock
         seconds += duration
@@ -544,7 +545,7 @@ def parse_args(argv=None):
     add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
     add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
     add("--eval-episodes", type=count, default=10, help="episodes of an evaluation")
-    add("--device", choices=devices, default="cpu", help="a GPU is slower for networks this small")
+    add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")
     add("--resume", metavar="CHECKPOINT", help="go on with a run, in its folder")
     add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
