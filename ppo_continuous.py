@@ -67,7 +67,6 @@ import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
-from matplotlib.figure import Figure
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -79,11 +78,15 @@ SCRIPT = Path(__file__).stem
 
 
 class CheckedEnv(gym.Wrapper):
-    """Says which environment failed, and when. Drops the infos: nobody reads them."""
+    """Says which environment failed, and when; sums up each episode in its last info."""
 
     def __init__(self, env, index):
         super().__init__(env)
         self.index, self.steps = index, 0
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        return self.env.reset(**options)[0], {}
 
     def step(self, action):
         self.steps += 1
@@ -92,15 +95,18 @@ class CheckedEnv(gym.Wrapper):
             if not (np.isfinite(obs).all() and math.isfinite(reward)):
                 raise FloatingPointError("it returned NaN or infinity")
         except Exception as error:
-            sys.exit(f"error: environment {self.index}, at its step {self.steps}: {error!r}")
-        return obs, reward, terminated, truncated, {}
+            at = f"environment {self.index}, at its step {self.steps}"
+            raise gym.error.Error(f"{at}: {error!r}") from error
+        self.episode_return += float(reward)
+        ended = terminated or truncated
+        row = self.episode_return, self.steps - self.episode_start
+        return obs, reward, terminated, truncated, {"episode": row} if ended else {}
 
 
 def make_envs(env_id, num_envs):
     """N environments, stepped together; whichever ends restarts within the same step."""
     makers = [lambda i=i: CheckedEnv(gym.make(env_id), i) for i in range(num_envs)]
-    envs = gym.vector.SyncVectorEnv(makers, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
-    return gym.wrappers.vector.RecordEpisodeStatistics(envs)
+    return gym.vector.SyncVectorEnv(makers, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
 
 
 def make_seeds(seed, stream, count):
@@ -224,7 +230,7 @@ def rollout(envs, policy, obs, num_steps, env_step):
         env_step, done, next_obs = env_step + len(obs), terminated | truncated, new_obs.copy()
         for i in np.flatnonzero(done):  # there new_obs[i] begins the next episode
             next_obs[i] = infos["final_obs"][i]
-            episodes.append((env_step, infos["episode"]["r"][i], infos["episode"]["l"][i]))
+            episodes.append((env_step, *infos["final_info"]["episode"][i]))
         transitions.append((obs, latents, rewards, next_obs, terminated, done))
         obs = new_obs
     columns = [torch.as_tensor(np.stack(x), device=policy.low.device) for x in zip(*transitions)]
@@ -382,7 +388,7 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
-        if last:
+        if stop.is_set():
             break
     result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
               "train_seconds": seconds, "steps_per_second": env_step / seconds,
@@ -442,25 +448,23 @@ def plot(folder):
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
              "approx_kl": " (nats)"}
-    figure = Figure(figsize=(22, 11), layout="constrained")  # pyplot would look for a display
-    axes = iter(figure.subplots(3, 5).flat)
-    for table in ("episodes", "evals", "metrics"):
-        files = sorted(folder.glob(f"seed-*/{table}.csv"))
-        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
-        if data.empty:
-            continue  # an early Ctrl-C: no episode has ended yet
-        width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
-        data["env_step"] = np.ceil(data["env_step"] / width) * width
-        data = data.groupby(["seed", "env_step"], as_index=False).mean()
-        for column in data.columns.drop(["seed", "env_step", "episodes"], errors="ignore"):
-            axis = next(axes)
-            lines = {"data": data, "x": "env_step", "y": column, "ax": axis}
-            sns.lineplot(**lines, errorbar="sd")
-            sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5)
-            label = f"{table}: {column}".replace("_", " ") + units.get(column, "")
-            axis.set(xlabel="environment steps", ylabel=label)
-    figure.suptitle(folder.name)
-    figure.savefig(folder / "learning_curve.png", dpi=100)
+    tables = []
+    for file in sorted(folder.glob("seed-*/*.csv")):
+        table = pd.read_csv(file).drop(columns="episodes", errors="ignore")
+        table = table.melt("env_step", var_name="panel").assign(seed=file.parent.name)
+        table["panel"] = [f"{file.stem}: {x}{units.get(x, '')}" for x in table["panel"]]
+        tables.append(table)
+    data = pd.concat(tables)
+    width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
+    data["env_step"] = np.ceil(data["env_step"] / width) * width
+    data = data.groupby(["panel", "seed", "env_step"], sort=False, as_index=False)["value"].mean()
+    lines = {"x": "env_step", "y": "value"}
+    grid = sns.relplot(data, **lines, kind="line", errorbar="sd", col="panel", col_wrap=5, height=3,
+                       aspect=1.3, facet_kws={"sharey": False})
+    grid.map_dataframe(sns.lineplot, **lines, units="seed", estimator=None, linewidth=0.5)
+    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
+    grid.figure.suptitle(folder.name, y=1.01)
+    grid.savefig(folder / "learning_curve.png", dpi=100)
 
 
 # --- Run folder -----------------------------------------------------------------------------------
@@ -619,6 +623,8 @@ def main():
                 futures = [pool.submit(train, *job) for job in jobs]
             for future in futures:
                 future.result()  # raises what has ended that seed, after all others are done
+    except gym.error.Error as error:
+        sys.exit(f"error: {error}")
     finally:
         if any(folder.glob("*/evals.csv")):
             plot(folder)
