@@ -220,22 +220,24 @@ def make_agent(args, env):
 def rollout(envs, policy, obs, num_steps, env_step):
     """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
 
-    Returns the real transitions, a dict of tensors (T, N, …); the observations to go on from; and
-    a row (env_step, return, length) for each episode that ended.
+    Returns the real transitions, a dict of tensors (T, N, …), with the policy's samples rather than
+    what the environments made of them; the observations to go on from; and a row (env_step, return,
+    length, …) for each episode that ended.
     """
     transitions, episodes = [], []
     for _ in range(num_steps):
-        latents, actions = policy.act(obs)
+        samples, actions = policy.act(obs)
         new_obs, rewards, terminated, truncated, infos = envs.step(actions)
         env_step, done, next_obs = env_step + len(obs), terminated | truncated, new_obs.copy()
         for i in np.flatnonzero(done):  # there new_obs[i] begins the next episode
             next_obs[i] = infos["final_obs"][i]
             episodes.append((env_step, *infos["final_info"]["episode"][i]))
-        transitions.append((obs, latents, rewards, next_obs, terminated, done))
+        transitions.append((obs, samples, rewards, next_obs, terminated, done))
         obs = new_obs
-    columns = [torch.as_tensor(np.stack(x), device=policy.low.device) for x in zip(*transitions)]
-    columns = [x if x.dtype == torch.bool else x.float() for x in columns]
-    names = "states", "latents", "rewards", "next_states", "terminated", "done"
+    device = policy.norm.mean.device
+    columns = [torch.as_tensor(np.stack(x), device=device) for x in zip(*transitions)]
+    columns = [x.float() if x.is_floating_point() else x for x in columns]
+    names = "states", "samples", "rewards", "next_states", "terminated", "done"
     return dict(zip(names, columns)), obs, episodes
 
 
@@ -342,7 +344,7 @@ def optimise(agent, optimizer, transitions, args):
     return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
 
 
-def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
+def train(args, seed, folder, stop, bar_position=0):
     """Train one seed into `folder`, from a checkpoint if given, until done or `stop` is set."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
@@ -353,8 +355,8 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
     agent = make_agent(args, eval_env)
     optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
     first, seconds, evaluation = 0, 0.0, {}
-    if checkpoint:
-        first, seconds, evaluation = restore(checkpoint, folder, agent, optimizer)
+    if args.resume:
+        first, seconds, evaluation = restore(args, folder, agent, optimizer)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2 + first, count=N))
     env_step, carry, recent = first * T * N, torch.zeros(N, device=args.device), []
     clock = time.perf_counter()
@@ -383,8 +385,10 @@ def train(args, seed, folder, stop, checkpoint=None, bar_position=0):
         clock = time.perf_counter()  # evaluation is not training, all else is
         append_rows(folder / "metrics.csv", [metrics])
         append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
-        progress = update + 1, seconds, evaluation
-        save_checkpoint(folder, args, seed, progress, agent, optimizer)
+        save_checkpoint(folder, args, seed, agent=agent.state_dict(),
+                        optimizer=optimizer.state_dict(), rng=torch.get_rng_state(),
+                        progress=(update + 1, seconds, evaluation),
+                        csv_bytes={p.name: p.stat().st_size for p in folder.glob("*.csv")})
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
@@ -420,12 +424,12 @@ def evaluate(policy, env, seeds):
             "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
 
 
-def watch(args, checkpoint):
+def watch(args):
     """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
     window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
     os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
     agent = make_agent(args, gym.make(args.env_id))
-    agent.load_state_dict(checkpoint["agent"])
+    agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
     gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
     try:
         env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
@@ -482,25 +486,33 @@ def append_rows(path, rows, columns=None):
         pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
 
 
-def save_checkpoint(folder, args, seed, progress, agent, optimizer):
+def save_checkpoint(folder, args, seed, **state):
     """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
     here = ("resume", "watch", "device", "out_dir")  # what belongs to a call, not to the run
     saved = {name: x for name, x in vars(args).items() if name not in here} | {"seed": [seed]}
-    content = {"script": SCRIPT, "args": saved, "progress": progress, "agent": agent.state_dict(),
-               "optimizer": optimizer.state_dict(), "rng": torch.get_rng_state(),
-               "csv_bytes": {path.name: path.stat().st_size for path in folder.glob("*.csv")}}
-    torch.save(content, folder / "checkpoint.tmp")
+    torch.save({"script": SCRIPT, "args": saved, **state}, folder / "checkpoint.tmp")
     os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
 
 
-def restore(checkpoint, folder, agent, optimizer):
+def restore(args, folder, agent, optimizer):
     """Go back to a checkpoint, CSV files too; returns its updates, seconds, last evaluation."""
+    checkpoint = torch.load(args.resume, args.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])
     torch.set_rng_state(checkpoint["rng"].cpu())
     for path in folder.glob("*.csv"):
         os.truncate(path, checkpoint["csv_bytes"].get(path.name, 0))
     return checkpoint["progress"]
+
+
+def make_folder(args):
+    """A new folder for the files of this call, with args.json."""
+    env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
+    folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
+    folder.mkdir(parents=True)
+    record = {**vars(args), "command": sys.argv, "versions": versions()}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
 
 
 # --- Configuration --------------------------------------------------------------------------------
@@ -518,12 +530,48 @@ def number(kind, low, high=1e12):
     return parse
 
 
-def parse_args(argv=None):
-    """The arguments and the checkpoint they name; what cannot work ends in one line, status 2."""
-    title, _ = __doc__.split("\n", 1)
-    parser = argparse.ArgumentParser(usage="%(prog)s [options]", description=title)
-    parser.formatter_class = argparse.ArgumentDefaultsHelpFormatter
+def parse_and_check(parser, argv):
+    """The arguments, an environment that they name, and a function that demands more of them.
+
+    What cannot work ends in one line, with status 2. A checkpoint's arguments are kept.
+    """
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
+    args = parser.parse_args(argv)
+
+    def require(name, condition, takes):
+        if not condition:
+            flag, got = name.replace("_", "-"), getattr(args, name)
+            parser.error(f"argument --{flag}: got {got}, takes {takes}")
+
+    flag = "watch" if args.watch else "resume"
+    if getattr(args, flag, None):
+        try:
+            checkpoint = torch.load(getattr(args, flag), args.device, weights_only=True)
+            script, saved = checkpoint["script"], checkpoint["args"]
+        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
+            script = None
+        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
+        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
+        for name in saved:
+            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
+    try:
+        env = gym.make(args.env_id)
+    except Exception as error:  # its text names the nearest environment
+        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
+    obs = env.observation_space
+    require("env_id", isinstance(obs, gym.spaces.Box) and len(obs.shape) == 1,
+            f"flat observations, not {obs}")
+    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
+    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
+    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    return args, env, require
+
+
+def parse_args(argv=None):
+    """What --help shows; a wrong argument ends in one line."""
+    title, _ = __doc__.split("\n", 1)
+    style = argparse.ArgumentDefaultsHelpFormatter
+    parser = argparse.ArgumentParser(None, "%(prog)s [options]", title, formatter_class=style)
     devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
     count, share, weight = number(int, 1), number(float, 0, 1), number(float, 0)
     add = parser.add_argument
@@ -553,40 +601,13 @@ def parse_args(argv=None):
     add("--out-dir", default="runs", help="where run folders are made")
     add("--resume", metavar="CHECKPOINT", help="go on with a run, in its folder")
     add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
-    args, checkpoint = parser.parse_args(argv), None
-
-    def require(name, condition, takes):
-        if not condition:
-            flag, got = name.replace("_", "-"), getattr(args, name)
-            parser.error(f"argument --{flag}: got {got}, takes {takes}")
-
-    if args.resume or args.watch:
-        try:
-            checkpoint = torch.load(args.resume or args.watch, args.device, weights_only=True)
-            script, saved = checkpoint["script"], checkpoint["args"]
-        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
-            script = None
-        flag = "resume" if args.resume else "watch"
-        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
-        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
-        for name in saved:
-            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
-    try:
-        env = gym.make(args.env_id)
-        obs, actions = env.observation_space, env.action_space
-    except Exception as error:  # its text names the nearest environment
-        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
-    box, batch_size = gym.spaces.Box, args.num_envs * args.rollout_steps
-    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
-    require("env_id", isinstance(actions, box) and len(actions.shape) == 1 and actions.is_bounded(),
-            f"a flat Box of bounded actions (a2c_vector.py: Discrete ones), not {actions}")
-    require("env_id", isinstance(obs, box) and len(obs.shape) == 1, f"flat observations, not {obs}")
+    args, env, require = parse_and_check(parser, argv)
+    actions, batch_size = env.action_space, args.num_envs * args.rollout_steps
+    box = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()
+    require("env_id", box, f"a flat, bounded Box of actions, not {actions} (see a2c_vector.py)")
     require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
     require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout, {batch_size}")
-    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
-    writable = folder.is_dir() and os.access(folder, os.W_OK)
-    require("out_dir", checkpoint or writable, "a folder to write to")
-    return args, checkpoint
+    return args
 
 
 # --- main -----------------------------------------------------------------------------------------
@@ -598,22 +619,12 @@ def start_worker(lock):
     tqdm.set_lock(lock)
 
 
-def main():
-    args, checkpoint = parse_args()
-    if args.watch:
-        return watch(args, checkpoint)
-    if args.resume:
-        folder = Path(args.resume).absolute().parent.parent
-    else:
-        env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
-        folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
-        folder.mkdir(parents=True)
-        record = {**vars(args), "command": sys.argv, "versions": versions()}
-        (folder / "args.json").write_text(json.dumps(record, indent=2))
+def train_seeds(args, folder):
+    """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
     stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
     signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
-    jobs = [(args, s, folder / f"seed-{s}", stop, checkpoint, i) for i, s in enumerate(args.seed)]
+    jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
         if len(jobs) == 1:
             train(*jobs[0])
@@ -629,6 +640,16 @@ def main():
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+
+
+def main():
+    args = parse_args()
+    if args.watch:
+        watch(args)
+    elif args.resume:
+        train_seeds(args, Path(args.resume).absolute().parent.parent)
+    else:
+        train_seeds(args, make_folder(args))
 
 
 if __name__ == "__main__":

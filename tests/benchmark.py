@@ -21,7 +21,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import ppo_continuous as ppo
 
-DEFAULTS = vars(ppo.parse_args([])[0])
+DEFAULTS = vars(ppo.parse_args([]))
 STEPS = {DEFAULTS["env_id"]: DEFAULTS["total_steps"]}  # the table of environments
 STEPS |= {f"{name}-v5": 1_000_000 for name in (
     "HalfCheetah", "Hopper", "Walker2d", "Ant", "Swimmer", "Reacher", "InvertedPendulum")}
@@ -101,7 +101,7 @@ def our_shares(env_id, steps):
     add_timer(ppo.Policy, "act", "policy")
     add_timer(ppo, "optimise", "update")
     ppo.evaluate = lambda *_: {}  # it would call Policy.act, too
-    args, _ = ppo.parse_args(["--env-id", env_id, "--total-steps", str(steps), "--eval-every", "0"])
+    args = ppo.parse_args(["--env-id", env_id, "--total-steps", str(steps), "--eval-every", "0"])
     with tempfile.TemporaryDirectory() as folder:
         ppo.train(args, 1, Path(folder), multiprocessing.Event())
         total = json.loads(Path(folder, "summary.json").read_text())["train_seconds"]

@@ -23,7 +23,7 @@ def fixed_seed():
 
 def make(env="ThreeSteps", options=""):
     """Arguments, vector environment, its first observations, and an agent for it."""
-    args, _ = ppo.parse_args(f"--env-id harness:{env}-v0 {SIZES} {options}".split())
+    args = ppo.parse_args(f"--env-id harness:{env}-v0 {SIZES} {options}".split())
     envs = ppo.make_envs(args.env_id, args.num_envs)
     obs, _ = envs.reset(seed=ppo.make_seeds(1, stream=2, count=args.num_envs))
     return args, envs, obs, ppo.make_agent(args, gym.make(args.env_id))
@@ -254,7 +254,7 @@ def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
     for target_kl in 0, 0.01:
         torch.manual_seed(0)
         args, agent, transitions, _ = play("Target", f"--epochs 20 --target-kl {target_kl}")
-        states, latents = transitions["states"].flatten(0, 1), transitions["latents"].flatten(0, 1)
+        states, latents = transitions["states"].flatten(0, 1), transitions["samples"].flatten(0, 1)
         old = agent["policy"](states).log_prob(latents).sum(-1).detach()
         ppo.optimise(agent, adam(agent, lr=3e-3), transitions, args)
         log_ratio = agent["policy"](states).log_prob(latents).sum(-1) - old
@@ -268,7 +268,7 @@ def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
 def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked():
     args, agent, transitions, _ = play(options="--epochs 3")
     rows = torch.arange(100.0).reshape(25, 4, 1)
-    transitions["latents"] = rows.expand(25, 4, 2)  # each latent names its row
+    transitions["samples"] = rows.expand(25, 4, 2)  # each latent names its row
     parts = list(ppo.minibatches(transitions, *rows_of(agent), args))
     assert [len(latents) for _, latents, *_ in parts] == [34, 33, 33] * 3
     orders = [torch.cat([p[1][:, 0] for p in parts[i : i + 3]]) for i in (0, 3, 6)]
@@ -386,7 +386,7 @@ def test_the_edges_of_the_latents_are_exactly_the_bounds_of_the_actions(squash, 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
 def test_no_environment_gets_an_action_out_of_bounds_though_latents_may_be(squash):
     _, _, transitions, _ = play(options=f"--squash {squash} --log-std 2", mean=30.0)
-    assert transitions["latents"].abs().max() > 30  # the latents; the world asserts its bounds
+    assert transitions["samples"].abs().max() > 30  # the latents; the world asserts its bounds
 
 
 def test_deterministic_actions_are_those_of_the_mean():

@@ -87,7 +87,7 @@ def test_args_json_and_summary_json_say_what_was_run(folder):
     args, summary = read_json(folder / "args.json"), read_json(folder / "seed-3/summary.json")
     assert args["env_id"] == summary["env_id"] == "InvertedPendulum-v5"
     assert (args["seed"], summary["seed"], summary["script"]) == ([3], 3, "ppo_continuous")
-    assert set(vars(ppo.parse_args([])[0])) < set(args)
+    assert set(vars(ppo.parse_args([]))) < set(args)
     assert "--total-steps" in args["command"]
     assert {"torch", "gymnasium", "mujoco", "numpy"} <= set(args["versions"])
     assert args["versions"] == summary["versions"]
@@ -111,7 +111,7 @@ def test_statistics_count_every_real_observation_once(folder):
 
 def test_no_episode_has_to_end_in_a_run(tmp_path):
     options = "--env-id", "HalfCheetah-v5", "--total-steps", "128", *SMALL, "--eval-episodes", "1"
-    args, _ = ppo.parse_args(options)
+    args = ppo.parse_args(options)
     ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
     ppo.plot(tmp_path)
     assert len(pd.read_csv(tmp_path / "seed-1/episodes.csv")) == 0
@@ -215,13 +215,13 @@ def test_a_run_killed_at_any_three_moments_is_resumed_without_gap_or_repeat(tmp_
 
 def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monkeypatch):
     """Random kills hardly ever hit the moment between the rows of an update and its checkpoint."""
-    args, _ = ppo.parse_args([*THREE_STEPS, "--total-steps", str(8 * BATCH), "--eval-every", "1"])
+    args = ppo.parse_args([*THREE_STEPS, "--total-steps", str(8 * BATCH), "--eval-every", "1"])
     folder, stop, save = tmp_path / "seed-1", threading.Event(), ppo.save_checkpoint
 
-    def die_at_update_4(folder, args, seed, progress, *rest):
-        if progress[0] == 4:
+    def die_at_update_4(*whose, **state):
+        if state["progress"][0] == 4:
             raise KeyboardInterrupt
-        save(folder, args, seed, progress, *rest)
+        save(*whose, **state)
 
     with monkeypatch.context() as patch:
         patch.setattr(ppo, "save_checkpoint", die_at_update_4)
@@ -230,7 +230,8 @@ def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monk
     assert len(pd.read_csv(folder / "metrics.csv")) == 4
     checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
     assert checkpoint["progress"][0] == 3
-    ppo.train(args, 1, folder, stop, checkpoint)
+    args.resume = folder / "checkpoint.pt"
+    ppo.train(args, 1, folder, stop)
     assert check_tables(folder) == 8 * BATCH
 
 
@@ -262,12 +263,14 @@ def test_a_new_process_acts_like_the_one_that_trained(tmp_path, monkeypatch):
     obs, last = np.random.default_rng(0).normal(size=(100, 4)), []
     save = ppo.save_checkpoint
 
-    def save_and_act(folder, args, seed, progress, agent, optimizer):
-        save(folder, args, seed, progress, agent, optimizer)
+    def save_and_act(folder, args, seed, **state):
+        save(folder, args, seed, **state)
+        agent = ppo.make_agent(args, gym.make(args.env_id))
+        agent.load_state_dict(state["agent"])
         last[:] = agent["policy"].act(obs, deterministic=True)[1].tolist()
 
     monkeypatch.setattr(ppo, "save_checkpoint", save_and_act)
-    ppo.train(ppo.parse_args(SHORT)[0], 1, tmp_path / "seed-1", threading.Event())
+    ppo.train(ppo.parse_args(SHORT), 1, tmp_path / "seed-1", threading.Event())
     np.save(tmp_path / "obs.npy", obs)
     Path(tmp_path, "act.py").write_text(ACT)
     paths = tmp_path / "seed-1/checkpoint.pt", tmp_path / "obs.npy"
@@ -445,7 +448,7 @@ def test_a_failing_environment_is_reported(world, step, reason, tmp_path):
 def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
     options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
     options += " --rollout-steps 64 --minibatch-size 64 --learning-rate 3e-3 --log-std -1.5"
-    args, _ = ppo.parse_args(options.split())
+    args = ppo.parse_args(options.split())
     ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > -0.03
     checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
@@ -458,7 +461,7 @@ def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
 def test_it_learns_to_balance_a_pole(tmp_path):
     options = "--env-id InvertedPendulum-v5 --total-steps 24576 --num-envs 8 --rollout-steps 128"
     options += " --minibatch-size 128 --eval-every 0"
-    args, _ = ppo.parse_args(options.split())
+    args = ppo.parse_args(options.split())
     ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > 300
     episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
