@@ -1,0 +1,599 @@
+# /// script
+# requires-python = ">=3.10"
+# dependencies = [
+#     "torch>=2.6,<2.14",
+#     "gymnasium[mujoco,box2d]>=1.4,<1.5",
+#     "mujoco>=3.1,<3.16",
+#     "numpy>=1.26",
+#     "pandas>=2.2",
+#     "seaborn>=0.13.2",
+#     "matplotlib>=3.8",
+#     "tqdm>=4.66",
+# ]
+# ///
+"""A2C on vectorised environments: synchronous advantage actor-critic, in one file.
+
+DOC
+"""
+
+import argparse
+import contextlib
+import importlib.metadata
+import json
+import math
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from datetime import datetime
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import torch
+from PIL import Image
+from torch import nn
+from tqdm import tqdm
+
+SCRIPT = Path(__file__).stem
+
+
+# --- Environment ----------------------------------------------------------------------------------
+
+
+class CheckedEnv(gym.Wrapper):
+    """Says which environment failed, and when; sums up each episode in its last info."""
+
+    def __init__(self, env, index):
+        super().__init__(env)
+        self.index, self.steps = index, 0
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        return self.env.reset(**options)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        try:
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
+        except Exception as error:
+            at = f"environment {self.index}, at its step {self.steps}"
+            raise gym.error.Error(f"{at}: {error!r}") from error
+        self.episode_return += float(reward)
+        ended = terminated or truncated
+        row = self.episode_return, self.steps - self.episode_start
+        return obs, reward, terminated, truncated, {"episode": row} if ended else {}
+
+
+class RandomPhysics(gym.Wrapper):
+    """Draws LunarLander's physics anew for every episode; they stand in its last info as well.
+
+    `widths` says how far a quantity may be from its usual value; what LunarLander does not accept
+    is never drawn. The generator is this wrapper's own, seeded when the environment is.
+    """
+
+    RANGES = {"gravity": (-10.0, -11.99, -0.01), "wind_power": (15.0, 0.0, 20.0),
+              "turbulence_power": (1.5, 0.0, 2.0)}  # usual, lowest, highest
+
+    def __init__(self, env, widths):
+        super().__init__(env)
+        self.widths = widths
+
+    def reset(self, *, seed=None, options=None):
+        if seed is not None:
+            self.random = np.random.default_rng([seed, 1])  # [seed] would repeat the environment's
+        self.physics = {"enable_wind": bool(self.random.random() < 0.5)}
+        for width, (name, (usual, lowest, highest)) in zip(self.widths, self.RANGES.items()):
+            low, high = max(usual - width, lowest), min(usual + width, highest)
+            self.physics[name] = self.random.uniform(low, high)
+        vars(self.unwrapped).update(self.physics)
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        if info:
+            info = {"episode": (*info["episode"], *self.physics.values())}
+        return obs, reward, terminated, truncated, info
+
+
+def make_env(args, index):
+    """Environment `index` of N. In a process of its own it leaves Ctrl-C to its parent."""
+    if multiprocessing.parent_process():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    env = CheckedEnv(gym.make(args.env_id), index)
+    widths = args.gravity_width, args.wind_width, args.turbulence_width
+    return RandomPhysics(env, widths) if args.randomize else env
+
+
+def make_envs(args):
+    """N environments, stepped together; whichever ends restarts within the same step."""
+    makers = [lambda i=i: make_env(args, i) for i in range(args.num_envs)]
+    vector_env = {"sync": gym.vector.SyncVectorEnv, "async": gym.vector.AsyncVectorEnv}
+    mode = gym.vector.AutoresetMode.SAME_STEP
+    return vector_env[args.vectorization](makers, autoreset_mode=mode)
+
+
+def make_seeds(seed, stream, count):
+    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+
+    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at update k.
+    """
+    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
+
+
+# --- Networks -------------------------------------------------------------------------------------
+
+
+class RunningNorm(nn.Module):
+    """(x − mean) / √var, clipped, with the mean and variance of all rows that `update` was given.
+
+    They are buffers: a checkpoint carries them, and nothing but `update` changes them.
+    """
+
+    def __init__(self, shape, clip=10.0):
+        super().__init__()
+        self.clip = clip
+        self.register_buffer("mean", torch.zeros(shape))
+        self.register_buffer("var", torch.ones(shape))
+        self.register_buffer("count", torch.zeros((), dtype=torch.int64))
+
+    def forward(self, x):
+        return ((x - self.mean) / self.var.sqrt()).clamp(-self.clip, self.clip)
+
+    def update(self, rows):
+        """Pool `rows` (B, …) with all earlier ones ([5])."""
+        weight = len(rows) / (self.count + len(rows))
+        delta = rows.mean(0) - self.mean
+        var = self.var + weight * (rows.var(0, correction=0) - self.var + (1 - weight) * delta**2)
+        self.var.copy_(var.clamp(min=1e-8))  # a dimension that never moved must not divide by zero
+        self.mean += weight * delta
+        self.count += len(rows)
+
+
+def mlp(inputs, hidden, outputs, output_gain):
+    """Two tanh layers and a linear one, orthogonal weights, zero biases."""
+    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
+    for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+
+class Policy(nn.Module):
+    """π(a|s), a probability for each of K actions."""
+
+    def __init__(self, norm, action_space, hidden):
+        super().__init__()
+        self.norm, self.first_action = norm, int(action_space.start)
+        self.logits = mlp(len(norm.mean), hidden, int(action_space.n), output_gain=0.01)
+
+    def forward(self, obs):
+        """Observations (…, D) -> the distribution of an action (…), counted from 0."""
+        return torch.distributions.Categorical(
+            logits=self.logits(self.norm(obs)), validate_args=False)
+
+    @torch.no_grad()
+    def act(self, obs, deterministic=False):
+        """NumPy (N, D) -> NumPy actions (N,), counted from 0 and as the environment counts them."""
+        obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
+        distribution = self(obs)
+        actions = distribution.logits.argmax(-1) if deterministic else distribution.sample()
+        actions = actions.cpu().numpy()
+        return actions, actions + self.first_action
+
+
+class Critic(nn.Module):
+    """V(s), the expected discounted sum of scaled rewards: (…, D) -> (…,)."""
+
+    def __init__(self, norm, hidden):
+        super().__init__()
+        self.norm = norm
+        self.value = mlp(len(norm.mean), hidden, 1, output_gain=1.0)
+
+    def forward(self, obs):
+        return self.value(self.norm(obs)).squeeze(-1)
+
+
+def make_agent(args, env):
+    """Policy, critic, all statistics as one module: its state_dict is all that acting needs."""
+    norm = RunningNorm(env.observation_space.shape)
+    policy = Policy(norm, env.action_space, args.hidden_size)
+    agent = {"policy": policy, "critic": Critic(norm, args.hidden_size)}
+    return nn.ModuleDict({**agent, "reward_norm": RunningNorm(())}).to(args.device)
+
+
+# --- Rollout --------------------------------------------------------------------------------------
+
+
+def rollout(envs, policy, obs, num_steps, env_step):
+    """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
+
+    Returns the real transitions, a dict of tensors (T, N, …), with the policy's samples rather than
+    what the environments made of them; the observations to go on from; and a row (env_step, return,
+    length, …) for each episode that ended.
+    """
+    transitions, episodes = [], []
+    for _ in range(num_steps):
+        samples, actions = policy.act(obs)
+        new_obs, rewards, terminated, truncated, infos = envs.step(actions)
+        env_step, done, next_obs = env_step + len(obs), terminated | truncated, new_obs.copy()
+        for i in np.flatnonzero(done):  # there new_obs[i] begins the next episode
+            next_obs[i] = infos["final_obs"][i]
+            episodes.append((env_step, *infos["final_info"]["episode"][i]))
+        transitions.append((obs, samples, rewards, next_obs, terminated, done))
+        obs = new_obs
+    device = policy.norm.mean.device
+    columns = [torch.as_tensor(np.stack(x), device=device) for x in zip(*transitions)]
+    columns = [x.float() if x.is_floating_point() else x for x in columns]
+    names = "states", "samples", "rewards", "next_states", "terminated", "done"
+    return dict(zip(names, columns)), obs, episodes
+
+
+# --- Returns and advantages -----------------------------------------------------------------------
+
+
+def scale_rewards(rewards, done, carry, reward_norm, gamma):
+    """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
+
+    G looks back, unlike what V predicts, so it is known at once; it only serves to find the scale.
+    `carry` (N,), γ·G from the rollout before, is returned for the next one.
+    """
+    scales = torch.empty_like(rewards)
+    for t in range(len(rewards)):
+        scales[t] = rewards[t] + carry
+        carry = gamma * torch.where(done[t], 0.0, scales[t])
+    reward_norm.update(scales.flatten())
+    return rewards / reward_norm.var.sqrt(), carry
+
+
+def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
+    """Generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
+
+    A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
+    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
+    """
+    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # step 3
+    advantages, advantage = [], torch.zeros_like(deltas[0])
+    for delta, ended in zip(deltas.flip(0), done.flip(0)):  # from the last step to the first
+        advantage = delta + gamma * gae_lambda * advantage.masked_fill(ended, 0.0)  # step 4
+        advantages.append(advantage)
+    return torch.stack(advantages).flip(0)
+
+
+# --- Loss -----------------------------------------------------------------------------------------
+
+
+def policy_loss(log_probs, advantages):
+    """−E[A·log π(a|s)]: actions better than expected become more likely; (B,) each."""
+    return -(advantages * log_probs).mean()
+
+
+def value_loss(values, targets):
+    """E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    return ((values - targets) ** 2).mean()
+
+
+# --- Training -------------------------------------------------------------------------------------
+
+
+def optimise(agent, optimizer, transitions, args):
+    """One gradient step. Returns the diagnostics."""
+    states, actions, rewards, next_states, terminated, done = transitions.values()
+    values = agent["critic"](states)
+    with torch.no_grad():
+        next_values = agent["critic"](next_states)
+        advantages = compute_gae(rewards, values, next_values, terminated, done, args.gamma,
+                                 args.gae_lambda)
+        targets = advantages + values
+        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
+    distribution = agent["policy"](states)
+    entropy = distribution.entropy().mean()
+    loss_pi = policy_loss(distribution.log_prob(actions), advantages)
+    loss_v = value_loss(values, targets)
+    optimizer.zero_grad()
+    (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()
+    grad_norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
+    if not grad_norm.isfinite():
+        sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
+    optimizer.step()
+    diagnostics = {"actor_loss": loss_pi, "critic_loss": loss_v, "entropy": entropy,
+                   "explained_variance": 1 - (targets - values).var() / targets.var(),
+                   "grad_norm": grad_norm}
+    return {name: x.item() for name, x in diagnostics.items()}
+
+
+def train(args, seed, folder, stop, bar_position=0):
+    """Train one seed into `folder`, until done or `stop` is set."""
+    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    folder.mkdir(exist_ok=True)
+    T, N = args.rollout_steps, args.num_envs
+    num_updates = math.ceil(args.total_steps / (T * N))
+    envs, eval_env = make_envs(args), CheckedEnv(gym.make(args.env_id), "of evaluation")
+    agent = make_agent(args, eval_env)
+    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
+    obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=N))
+    env_step, seconds, evaluation, recent = 0, 0.0, {}, []
+    carry = torch.zeros(N, device=args.device)
+    clock = time.perf_counter()
+    bar = tqdm(range(num_updates), f"seed {seed}", unit="step", unit_scale=T * N,
+               position=bar_position)
+    for update in bar:
+        learning_rate = args.learning_rate * (1 - update / num_updates)
+        optimizer.param_groups[0]["lr"] = learning_rate
+        batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
+        batch["rewards"], carry = scale_rewards(
+            batch["rewards"], batch["done"], carry, agent["reward_norm"], args.gamma)  # step 2
+        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
+        agent["policy"].norm.update(batch["states"].flatten(0, 1))
+        env_step += T * N
+        duration = time.perf_counter() - clock
+        seconds += duration
+        metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
+                   "steps_per_second": T * N / duration}
+
+        last = update + 1 == num_updates or stop.is_set()
+        if last or args.eval_every and (update + 1) % args.eval_every == 0:
+            seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+            evaluation = evaluate(agent["policy"], eval_env, seeds)
+            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+        clock = time.perf_counter()  # evaluation is not training, all else is
+        append_rows(folder / "metrics.csv", [metrics])
+        names = "env_step", "return", "length", *args.randomize * ("wind", *RandomPhysics.RANGES)
+        append_rows(folder / "episodes.csv", episodes, names)
+        save_checkpoint(folder, args, seed, agent=agent.state_dict())
+        recent = (recent + [row[1] for row in episodes])[-20:]
+        evaluated = evaluation.get("return_mean", math.nan)
+        bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
+        if stop.is_set():
+            break
+    envs.close()
+    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
+              "train_seconds": seconds, "steps_per_second": env_step / seconds,
+              **{f"eval_{name}": x for name, x in evaluation.items()}, "versions": versions()}
+    (folder / "summary.json").write_text(json.dumps(result, indent=2))
+
+
+# --- Evaluate and watch ---------------------------------------------------------------------------
+
+
+def play(policy, env, seed=None, frames=None):
+    """One episode of the deterministic policy: its return (raw rewards) and its length."""
+    obs, _ = env.reset(seed=seed)
+    rewards, ended = [], False
+    while not ended:
+        _, actions = policy.act(obs[None], deterministic=True)
+        obs, reward, terminated, truncated, _ = env.step(actions[0])
+        rewards.append(float(reward))
+        ended = terminated or truncated
+        if frames is not None:
+            frames.append(Image.fromarray(env.render()).reduce(2))
+    return sum(rewards), len(rewards)
+
+
+def evaluate(policy, env, seeds):
+    """One deterministic episode per seed, on an environment that training never sees."""
+    returns, lengths = zip(*(play(policy, env, seed) for seed in seeds))
+    return {"return_mean": float(np.mean(returns)), "return_std": float(np.std(returns)),
+            "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
+
+
+def watch(args):
+    """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
+    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
+    agent = make_agent(args, gym.make(args.env_id))
+    agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
+    gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
+    try:
+        env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
+        print("return {:.1f} in {} steps".format(*play(agent["policy"], env, frames=frames)))
+    except Exception as error:  # every graphics library fails in its own way
+        sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
+    if frames:
+        fps = env.metadata["render_fps"]
+        frames = frames[:: math.ceil(fps / 25)]
+        pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
+        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
+        print(gif)
+
+
+# --- Plot -----------------------------------------------------------------------------------------
+
+
+def plot(folder):
+    """learning_curve.png: each column of each CSV: thin lines for seeds, their mean ± one std."""
+    units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
+             "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
+             "approx_kl": " (nats)"}
+    tables = []
+    for file in sorted(folder.glob("seed-*/*.csv")):
+        table = pd.read_csv(file).drop(columns="episodes", errors="ignore")
+        table = table.melt("env_step", var_name="panel").assign(seed=file.parent.name)
+        table["panel"] = [f"{file.stem}: {x}{units.get(x, '')}" for x in table["panel"]]
+        tables.append(table)
+    data = pd.concat(tables)
+    width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
+    data["env_step"] = np.ceil(data["env_step"] / width) * width
+    data = data.groupby(["panel", "seed", "env_step"], sort=False, as_index=False)["value"].mean()
+    lines = {"x": "env_step", "y": "value"}
+    grid = sns.relplot(data, **lines, kind="line", errorbar="sd", col="panel", col_wrap=5, height=3,
+                       aspect=1.3, facet_kws={"sharey": False})
+    grid.map_dataframe(sns.lineplot, **lines, units="seed", estimator=None, linewidth=0.5)
+    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
+    grid.figure.suptitle(folder.name, y=1.01)
+    grid.savefig(folder / "learning_curve.png", dpi=100)
+
+
+# --- Run folder -----------------------------------------------------------------------------------
+
+
+def versions():
+    """What a number depends on besides the seed."""
+    names = ("torch", "gymnasium", "mujoco", "numpy")
+    return {name: importlib.metadata.version(name) for name in names}
+
+
+def append_rows(path, rows, columns=None):
+    """Add rows to a CSV file, below a header if it is new."""
+    with path.open("a", newline="") as file:
+        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+
+
+def save_checkpoint(folder, args, seed, **state):
+    """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
+    here = ("resume", "watch", "device", "out_dir")  # what belongs to a call, not to the run
+    saved = {name: x for name, x in vars(args).items() if name not in here} | {"seed": [seed]}
+    torch.save({"script": SCRIPT, "args": saved, **state}, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+
+
+def make_folder(args):
+    """A new folder for the files of this call, with args.json."""
+    env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
+    folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
+    folder.mkdir(parents=True)
+    record = {**vars(args), "command": sys.argv, "versions": versions()}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
+
+
+# --- Configuration --------------------------------------------------------------------------------
+
+
+def number(kind, low, high=1e12):
+    """An argparse type: an int or float within [low, high]; NaN is in no interval."""
+
+    def parse(text):
+        with contextlib.suppress(ValueError):
+            if low <= kind(text) <= high:
+                return kind(text)
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
+
+    return parse
+
+
+def parse_and_check(parser, argv):
+    """The arguments, an environment that they name, and a function that demands more of them.
+
+    What cannot work ends in one line, with status 2. A checkpoint's arguments are kept.
+    """
+    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
+    args = parser.parse_args(argv)
+
+    def require(name, condition, takes):
+        if not condition:
+            flag, got = name.replace("_", "-"), getattr(args, name)
+            parser.error(f"argument --{flag}: got {got}, takes {takes}")
+
+    flag = "watch" if args.watch else "resume"
+    if getattr(args, flag, None):
+        try:
+            checkpoint = torch.load(getattr(args, flag), args.device, weights_only=True)
+            script, saved = checkpoint["script"], checkpoint["args"]
+        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
+            script = None
+        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
+        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
+        for name in saved:
+            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
+    try:
+        env = gym.make(args.env_id)
+    except Exception as error:  # its text names the nearest environment
+        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
+    obs = env.observation_space
+    require("env_id", isinstance(obs, gym.spaces.Box) and len(obs.shape) == 1,
+            f"flat observations, not {obs}")
+    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
+    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
+    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    return args, env, require
+
+
+def parse_args(argv=None):
+    """What --help shows; a wrong argument ends in one line."""
+    title, _ = __doc__.split("\n", 1)
+    style = argparse.ArgumentDefaultsHelpFormatter
+    parser = argparse.ArgumentParser(None, "%(prog)s [options]", title, formatter_class=style)
+    devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
+    count, share, weight = number(int, 1), number(float, 0, 1), number(float, 0)
+    add = parser.add_argument
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
+    add("--env-id", default="LunarLander-v3", help="also my_module:MyEnv-v0")
+    add("--total-steps", type=count, default=1_000_000, help="of all environments, rounded up")
+    add("--num-envs", type=count, default=16, help="N, environments stepped together")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
+    add("--rollout-steps", type=count, default=32, help="T, steps of each in a rollout")
+    add("--learning-rate", type=weight, default=3e-3, help="of Adam at first; it falls to 0")
+    add("--gamma", type=share, default=0.999, help="γ, discount of rewards")
+    add("--gae-lambda", type=share, default=0.98, help="λ, trust in rewards (1) or V (0)")
+    add("--value-coef", type=weight, default=0.5, help="c_V, weight of the value loss")
+    add("--entropy-coef", type=weight, default=0.01, help="c_H, weight of the entropy")
+    add("--max-grad-norm", type=weight, default=0.5, help="longer gradients are shortened")
+    add("--hidden-size", type=count, default=64, help="units in each hidden layer")
+    add("--randomize", action="store_true", help="new physics for LunarLander in every episode")
+    add("--gravity-width", type=weight, default=8.0, help="gravity is -10 ± this, in (-12, 0)")
+    add("--wind-width", type=weight, default=15.0, help="wind power is 15 ± this, in [0, 20]")
+    add("--turbulence-width", type=weight, default=1.5, help="turbulence is 1.5 ± this, in [0, 2]")
+    add("--eval-every", type=number(int, 0), default=100, help="updates; 0: only at the end")
+    add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
+    add("--device", choices=devices, default="cpu", help="where the networks are computed")
+    add("--out-dir", default="runs", help="where run folders are made")
+    add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
+    args, env, require = parse_and_check(parser, argv)
+    actions, batch_size = env.action_space, args.num_envs * args.rollout_steps
+    discrete = isinstance(actions, gym.spaces.Discrete)
+    require("env_id", discrete, f"Discrete actions, not {actions} (see ppo_continuous.py)")
+    require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
+    return args
+
+
+# --- main -----------------------------------------------------------------------------------------
+
+
+def start_worker(lock):
+    """A process of several shares the terminal, and leaves Ctrl-C to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tqdm.set_lock(lock)
+
+
+def train_seeds(args, folder):
+    """Train the seeds, several side by side in processes, and draw their learning curve."""
+    context = multiprocessing.get_context("spawn")
+    stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
+    signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
+    jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
+    try:
+        if len(jobs) == 1:
+            train(*jobs[0])
+        else:
+            lock = context.RLock()
+            with ProcessPoolExecutor(os.cpu_count(), context, start_worker, (lock,)) as pool:
+                futures = [pool.submit(train, *job) for job in jobs]
+            for future in futures:
+                future.result()  # raises what has ended that seed, after all others are done
+    except gym.error.Error as error:
+        sys.exit(f"error: {error}")
+    finally:
+        if any(folder.glob("*/evals.csv")):
+            plot(folder)
+        print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+
+
+def main():
+    args = parse_args()
+    if args.watch:
+        watch(args)
+    else:
+        train_seeds(args, make_folder(args))
+
+
+if __name__ == "__main__":
+    main()

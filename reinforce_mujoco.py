@@ -1,0 +1,493 @@
+# /// script
+# requires-python = ">=3.10"
+# dependencies = [
+#     "torch>=2.6,<2.14",
+#     "gymnasium[mujoco,box2d]>=1.4,<1.5",
+#     "mujoco>=3.1,<3.16",
+#     "numpy>=1.26",
+#     "pandas>=2.2",
+#     "seaborn>=0.13.2",
+#     "matplotlib>=3.8",
+#     "tqdm>=4.66",
+# ]
+# ///
+"""REINFORCE: the policy gradient with Monte-Carlo returns, in one file.
+
+Learns:   RESULT
+Command:  python reinforce_mujoco.py --seed 1 2 3 5 8
+
+The algorithm. In a state s the policy π draws an action u from a Gaussian; the environment takes u,
+clipped to its bounds, and returns a reward r and the next state, until the episode ends at T.
+  1. Play E episodes with π:  u_t ~ N(μ(s_t), σ(s_t)²)
+  2. G_t = r_t + γ·G_{t+1},  G_T = 0   the discounted rewards from t on: what u_t can have caused
+  3. A_t = G_t − b_t   was it better or worse than the baseline?  --baseline says what b is:
+       none   b = 0
+       mean   b = the mean of G over all steps of 1, and A is divided by their standard deviation
+       value  b_t = V(s_t), a second network that learns to predict G_t
+  4. One step of Adam on −E[A·log π(u|s)] and, if there is a V, on E[(V(s) − G)²]
+  5. Lower the learning rate, go to 1.
+
+Why it learns: the gradient of the expected return is E[G·∇log π(u|s)] ([1]; [2] section 13.3). It
+says: make each action more likely in proportion to the return that followed it. If all returns are
+positive, as here, every action that was tried becomes more likely, and only the small differences
+between large numbers teach anything. A baseline takes away what they have in common. On average it
+changes nothing, for E[b·∇log π(u|s)] = b·∇E[1] = 0 if b does not depend on u; but the noise of the
+estimate falls, and with it the number of episodes that are needed. (In `mean`, b does depend on u a
+little, as one of the many steps of the batch.) `tests/benchmark.py baselines` measures both.
+
+What a time limit costs: an episode that is cut off looks as if no reward would have come after it,
+so the last 1/(1−γ) = 100 steps or so look worse than they are. REINFORCE cannot know better; with
+--baseline value it can, and G_T = V(s_T) at a time limit ([3]).
+
+Left out on purpose: several environments and a critic that shortens the wait for the rewards, which
+a2c_vector.py adds; several gradient steps on the same data, which ppo_continuous.py adds.
+
+Shapes:      T steps of an episode, B steps of E episodes, D dimensions of a state, K of an action.
+Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+References:  [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
+             Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
+             [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
+"""
+
+import argparse
+import contextlib
+import importlib.metadata
+import json
+import math
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from datetime import datetime
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import torch
+from matplotlib.figure import Figure
+from PIL import Image
+from torch import nn
+from tqdm import tqdm
+
+SCRIPT = Path(__file__).stem
+
+
+# --- Environment ----------------------------------------------------------------------------------
+
+
+class CheckedEnv(gym.Wrapper):
+    """Says which environment failed, and when; sums up each episode in its last info."""
+
+    def __init__(self, env, index):
+        super().__init__(env)
+        self.index, self.steps = index, 0
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        return self.env.reset(**options)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        try:
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
+        except Exception as error:
+            at = f"environment {self.index}, at its step {self.steps}"
+            raise gym.error.Error(f"{at}: {error!r}") from error
+        self.episode_return += float(reward)
+        ended = terminated or truncated
+        row = self.episode_return, self.steps - self.episode_start
+        return obs, reward, terminated, truncated, {"episode": row} if ended else {}
+
+
+def make_seeds(seed, stream, count):
+    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+
+    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at update k.
+    """
+    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
+
+
+# --- Networks -------------------------------------------------------------------------------------
+
+
+class Policy(nn.Module):
+    """π(u|s) = N(μ(s), σ(s)²) over actions u (…, K); the environment gets u within its bounds."""
+
+    def __init__(self, env):
+        super().__init__()
+        (inputs,), (outputs,) = env.observation_space.shape, env.action_space.shape
+        self.trunk = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh())
+        self.mean, self.raw_std = nn.Linear(32, outputs), nn.Linear(32, outputs)
+        self.register_buffer("low", torch.as_tensor(env.action_space.low, dtype=torch.float32))
+        self.register_buffer("high", torch.as_tensor(env.action_space.high, dtype=torch.float32))
+
+    def forward(self, obs):
+        """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
+        features = self.trunk(obs)
+        std = nn.functional.softplus(self.raw_std(features)) + 1e-3  # at σ = 0, log π is infinite
+        return torch.distributions.Normal(self.mean(features), std, validate_args=False)
+
+    @torch.no_grad()
+    def act(self, obs, deterministic=False):
+        """NumPy (N, D) -> NumPy samples u (N, K), actions a (N, K); deterministic: u = μ(s)."""
+        distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        samples = distribution.mean if deterministic else distribution.sample()
+        return samples.cpu().numpy(), samples.clamp(self.low, self.high).cpu().numpy()
+
+
+def make_agent(args, env):
+    """Policy and, with --baseline value, V: (…, D) -> (…, 1)."""
+    agent, (inputs,) = {"policy": Policy(env)}, env.observation_space.shape
+    if args.baseline == "value":
+        agent["value"] = nn.Sequential(
+            nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
+    return nn.ModuleDict(agent).to(args.device)
+
+
+# --- Returns and advantages -----------------------------------------------------------------------
+
+
+def discounted_returns(rewards, last_return, gamma):
+    """G_t = r_t + γ·G_{t+1} with G_T = `last_return`; (T,) each (step 2)."""
+    returns = torch.empty_like(rewards)
+    for t in reversed(range(len(rewards))):
+        last_return = rewards[t] + gamma * last_return
+        returns[t] = last_return
+    return returns
+
+
+def compute_advantages(returns, values, baseline):
+    """A = G − b (step 3), a constant for the gradient; (B,) each."""
+    if baseline == "none":
+        return returns
+    if baseline == "mean":
+        return (returns - returns.mean()) / (returns.std() + 1e-8)
+    return returns - values.detach()
+
+
+# --- Loss -----------------------------------------------------------------------------------------
+
+
+def policy_loss(log_probs, advantages):
+    """−E[A·log π(u|s)], whose gradient is that of the expected return, downhill; (B,) each."""
+    return -(advantages * log_probs).mean()
+
+
+def value_loss(values, targets):
+    """E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    return ((values - targets) ** 2).mean()
+
+
+# --- Training -------------------------------------------------------------------------------------
+
+
+def sample_episode(env, policy):
+    """One episode of samples of π: states (T, D), samples u (T, K), rewards (T,) as tensors.
+
+    Also the last state (D,), whether it is terminal (not a time limit), and (return, length).
+    """
+    (obs, _), steps, ended = env.reset(), [], False
+    while not ended:
+        samples, actions = policy.act(obs[None])
+        next_obs, reward, terminated, truncated, info = env.step(actions[0])
+        steps.append((obs, samples[0], reward))
+        obs, ended = next_obs, terminated or truncated
+    columns = [torch.as_tensor(np.stack(x), dtype=torch.float32) for x in zip(*steps)]
+    return *columns, torch.as_tensor(obs, dtype=torch.float32), terminated, info["episode"]
+
+
+def train(args, seed, folder, stop, bar_position=0):
+    """Train one seed into `folder`, until done or `stop` is set."""
+    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    folder.mkdir(exist_ok=True)
+    env, eval_env = (CheckedEnv(gym.make(args.env_id), name) for name in (0, "of evaluation"))
+    env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # once: each episode starts differently
+    agent = make_agent(args, env)
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)
+    env_step, update, seconds, evaluation, recent = 0, 0, 0.0, {}, []
+    clock = time.perf_counter()
+    bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", position=bar_position)
+    while env_step < args.total_steps and not stop.is_set():
+        learning_rate = args.learning_rate * (1 - env_step / args.total_steps)  # step 5
+        optimizer.param_groups[0]["lr"] = learning_rate
+        batch, episodes = [], []
+        for _ in range(args.batch_episodes):  # steps 1 and 2
+            states, samples, rewards, last, terminated, row = sample_episode(env, agent["policy"])
+            cut_off = args.baseline == "value" and not terminated
+            last_return = agent["value"](last).item() if cut_off else 0.0
+            batch.append((states, samples, discounted_returns(rewards, last_return, args.gamma)))
+            env_step += len(rewards)
+            episodes.append((env_step, *row))
+        states, samples, returns = (torch.cat(x).to(args.device) for x in zip(*batch))
+        values = agent["value"](states).squeeze(-1) if args.baseline == "value" else None
+        advantages = compute_advantages(returns, values, args.baseline)  # step 3
+        distribution = agent["policy"](states)
+        losses = {"policy_loss": policy_loss(distribution.log_prob(samples).sum(-1), advantages)}
+        if args.baseline == "value":
+            losses["value_loss"] = value_loss(values, returns)
+        optimizer.zero_grad()
+        sum(losses.values()).backward()  # step 4
+        optimizer.step()
+        update += 1
+        duration = time.perf_counter() - clock
+        seconds += duration
+        gradients = [p.grad for p in agent["policy"].parameters()]
+        metrics = {"env_step": env_step, **{name: x.item() for name, x in losses.items()},
+                   "entropy": distribution.entropy().sum(-1).mean().item(),
+                   "policy_std": distribution.stddev.mean().item(),
+                   "grad_norm": nn.utils.get_total_norm(gradients).item(),
+                   "learning_rate": learning_rate, "steps_per_second": len(returns) / duration}
+        if not math.isfinite(metrics["grad_norm"]):
+            sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
+
+        last = env_step >= args.total_steps or stop.is_set()
+        if last or args.eval_every and update % args.eval_every == 0:
+            seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+            evaluation = evaluate(agent["policy"], eval_env, seeds)
+            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+        clock = time.perf_counter()  # evaluation is not training, all else is
+        append_rows(folder / "metrics.csv", [metrics])
+        append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
+        save_checkpoint(folder, args, seed, agent=agent.state_dict())
+        recent = (recent + [row[1] for row in episodes])[-100:]
+        bar.update(len(returns))
+        evaluated = evaluation.get("return_mean", math.nan)
+        bar.set_postfix_str(f"return {np.mean(recent):.0f}, evaluation {evaluated:.0f}")
+    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
+              "train_seconds": seconds, "steps_per_second": env_step / seconds,
+              **{f"eval_{name}": x for name, x in evaluation.items()}, "versions": versions()}
+    (folder / "summary.json").write_text(json.dumps(result, indent=2))
+
+
+# --- Evaluate and watch ---------------------------------------------------------------------------
+
+
+def play(policy, env, seed=None, frames=None):
+    """One episode of the deterministic policy: its return (raw rewards) and its length."""
+    obs, _ = env.reset(seed=seed)
+    rewards, ended = [], False
+    while not ended:
+        _, actions = policy.act(obs[None], deterministic=True)
+        obs, reward, terminated, truncated, _ = env.step(actions[0])
+        rewards.append(float(reward))
+        ended = terminated or truncated
+        if frames is not None:
+            frames.append(Image.fromarray(env.render()).reduce(2))
+    return sum(rewards), len(rewards)
+
+
+def evaluate(policy, env, seeds):
+    """One deterministic episode per seed, on an environment that training never sees."""
+    returns, lengths = zip(*(play(policy, env, seed) for seed in seeds))
+    return {"return_mean": float(np.mean(returns)), "return_std": float(np.std(returns)),
+            "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
+
+
+def watch(args):
+    """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
+    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
+    agent = make_agent(args, gym.make(args.env_id))
+    agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
+    gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
+    try:
+        env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
+        print("return {:.1f} in {} steps".format(*play(agent["policy"], env, frames=frames)))
+    except Exception as error:  # every graphics library fails in its own way
+        sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
+    if frames:
+        fps = env.metadata["render_fps"]
+        frames = frames[:: math.ceil(fps / 25)]
+        pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
+        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
+        print(gif)
+
+
+# --- Plot -----------------------------------------------------------------------------------------
+
+
+def plot(folder):
+    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
+    panels = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
+              ("evals", "env_step", "return_mean"), ("metrics", "env_step", "policy_loss"),
+              ("metrics", "env_step", "policy_std"), ("metrics", "env_step", "grad_norm")]
+    units = {"return": " (raw)", "return_mean": " (raw)"}
+    figure = Figure(figsize=(15, 8), layout="constrained")
+    for axis, (table, x, y) in zip(figure.subplots(2, 3).flat, panels):
+        files = sorted(folder.glob(f"seed-*/{table}.csv"))
+        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        data["episode"] = data.groupby("seed").cumcount() + 1
+        width = max(1, data[x].max() / 60)  # seeds end their episodes at different steps
+        data[x] = np.ceil(data[x] / width) * width
+        lines = {"data": data.groupby(["seed", x], as_index=False)[y].mean(), "x": x, "y": y}
+        sns.lineplot(**lines, errorbar=("se", 1.96), ax=axis)
+        sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5, ax=axis)
+        label = "episodes" if x == "episode" else "environment steps"
+        axis.set(xlabel=label, ylabel=f"{table}: {y}{units.get(y, '')}")
+        axis.locator_params(axis="x", nbins=5)
+    figure.suptitle(folder.name)
+    figure.savefig(folder / "learning_curve.png", dpi=100)
+
+
+# --- Run folder -----------------------------------------------------------------------------------
+
+
+def versions():
+    """What a number depends on besides the seed."""
+    names = ("torch", "gymnasium", "mujoco", "numpy")
+    return {name: importlib.metadata.version(name) for name in names}
+
+
+def append_rows(path, rows, columns=None):
+    """Add rows to a CSV file, below a header if it is new."""
+    with path.open("a", newline="") as file:
+        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+
+
+def save_checkpoint(folder, args, seed, **state):
+    """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
+    here = ("resume", "watch", "device", "out_dir")  # what belongs to a call, not to the run
+    saved = {name: x for name, x in vars(args).items() if name not in here} | {"seed": [seed]}
+    torch.save({"script": SCRIPT, "args": saved, **state}, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+
+
+def make_folder(args):
+    """A new folder for the files of this call, with args.json."""
+    env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
+    folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
+    folder.mkdir(parents=True)
+    record = {**vars(args), "command": sys.argv, "versions": versions()}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
+
+
+# --- Configuration --------------------------------------------------------------------------------
+
+
+def number(kind, low, high=1e12):
+    """An argparse type: an int or float within [low, high]; NaN is in no interval."""
+
+    def parse(text):
+        with contextlib.suppress(ValueError):
+            if low <= kind(text) <= high:
+                return kind(text)
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
+
+    return parse
+
+
+def parse_and_check(parser, argv):
+    """The arguments, an environment that they name, and a function that demands more of them.
+
+    What cannot work ends in one line, with status 2. A checkpoint's arguments are kept.
+    """
+    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
+    args = parser.parse_args(argv)
+
+    def require(name, condition, takes):
+        if not condition:
+            flag, got = name.replace("_", "-"), getattr(args, name)
+            parser.error(f"argument --{flag}: got {got}, takes {takes}")
+
+    flag = "watch" if args.watch else "resume"
+    if getattr(args, flag, None):
+        try:
+            checkpoint = torch.load(getattr(args, flag), args.device, weights_only=True)
+            script, saved = checkpoint["script"], checkpoint["args"]
+        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
+            script = None
+        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
+        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
+        for name in saved:
+            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
+    try:
+        env = gym.make(args.env_id)
+    except Exception as error:  # its text names the nearest environment
+        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
+    obs = env.observation_space
+    require("env_id", isinstance(obs, gym.spaces.Box) and len(obs.shape) == 1,
+            f"flat observations, not {obs}")
+    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
+    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
+    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    return args, env, require
+
+
+def parse_args(argv=None):
+    """What --help shows; a wrong argument ends in one line."""
+    title, _ = __doc__.split("\n", 1)
+    style = argparse.ArgumentDefaultsHelpFormatter
+    parser = argparse.ArgumentParser(None, "%(prog)s [options]", title, formatter_class=style)
+    devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
+    count, share, weight = number(int, 1), number(float, 0, 1), number(float, 0)
+    add = parser.add_argument
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
+    add("--env-id", default="InvertedPendulum-v5", help="also my_module:MyEnv-v0")
+    add("--total-steps", type=count, default=200_000, help="rounded up to whole episodes")
+    add("--batch-episodes", type=count, default=4, help="E, episodes of a gradient step")
+    add("--baseline", choices=("none", "mean", "value"), default="mean", help="b, see above")
+    add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
+    add("--gamma", type=share, default=0.99, help="γ, discount of rewards")
+    add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
+    add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
+    add("--device", choices=devices, default="cpu", help="where the networks are computed")
+    add("--out-dir", default="runs", help="where run folders are made")
+    add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
+    args, env, require = parse_and_check(parser, argv)
+    actions = env.action_space
+    box = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1
+    require("env_id", box, f"a flat Box of actions, not {actions} (see a2c_vector.py)")
+    return args
+
+
+# --- main -----------------------------------------------------------------------------------------
+
+
+def start_worker(lock):
+    """A process of several shares the terminal, and leaves Ctrl-C to its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    tqdm.set_lock(lock)
+
+
+def train_seeds(args, folder):
+    """Train the seeds, several side by side in processes, and draw their learning curve."""
+    context = multiprocessing.get_context("spawn")
+    stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
+    signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
+    jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
+    try:
+        if len(jobs) == 1:
+            train(*jobs[0])
+        else:
+            lock = context.RLock()
+            with ProcessPoolExecutor(os.cpu_count(), context, start_worker, (lock,)) as pool:
+                futures = [pool.submit(train, *job) for job in jobs]
+            for future in futures:
+                future.result()  # raises what has ended that seed, after all others are done
+    except gym.error.Error as error:
+        sys.exit(f"error: {error}")
+    finally:
+        if any(folder.glob("*/evals.csv")):
+            plot(folder)
+        print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+
+
+def main():
+    args = parse_args()
+    if args.watch:
+        watch(args)
+    else:
+        train_seeds(args, make_folder(args))
+
+
+if __name__ == "__main__":
+    main()
