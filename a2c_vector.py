@@ -11,9 +11,42 @@
 #     "tqdm>=4.66",
 # ]
 # ///
-"""A2C on vectorised environments: synchronous advantage actor-critic, in one file.
+"""A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-DOC
+Learns:   RESULT
+Command:  python a2c_vector.py --seed 1 2 3 4 5
+
+The algorithm. In a state s the actor π draws one of K actions a, and the environment returns a
+reward r; the critic V(s) predicts the discounted sum of rewards to come.
+  1. Play T steps in N environments with π:  a_t ~ π(·|s_t).  Multiply r by a constant.
+  2. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
+  3. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
+  4. One step of Adam: π on −E[A·log π(a|s)] − c_H·H(π), A standardised; V on ½·E[(V(s) − R)²]
+  5. Update the mean and variance that normalise s, lower the learning rates, go to 1.
+terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
+
+= REINFORCE (reinforce_mujoco.py) plus: a critic, which foresees what an action leads to, so that
+nobody has to wait for the end of an episode (2, 3); N environments at a time, each in another part
+of its episode, so that a short rollout has enough to learn from (1).
+Left out on purpose: asynchronous updates (A3C, [1]), shared layers, images, continuous actions.
+
+Vectorised environments: one call of the network serves all N of them, and that is most of the gain.
+With --vectorization async each steps in a process of its own, which pays if a step takes longer
+than sending its result. `tests/benchmark.py scaling` measures both on your machine.
+
+Domain randomization. With --randomize every episode has its own gravity, wind and turbulence, so
+that no single world can be learned by heart. Evaluation keeps to the usual one.
+`tests/benchmark.py robustness` compares agents in many worlds.
+
+Symbols:     γ discount, λ trust in rewards (1) against V (0), H entropy.
+Shapes:      T steps, N environments, B = T·N rows, D dimensions of a state, K actions.
+Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+References:  [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning. [2]
+             Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage
+             Estimation. [3] Pardo et al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et
+             al. 2017, Domain Randomization for Transferring Deep Neural Networks from Simulation to
+             the Real World. [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for
+             Computing Sample Variances.
 """
 
 import argparse
@@ -36,6 +69,7 @@ import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
+from matplotlib.figure import Figure
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -73,10 +107,10 @@ class CheckedEnv(gym.Wrapper):
 
 
 class RandomPhysics(gym.Wrapper):
-    """Draws LunarLander's physics anew for every episode; they stand in its last info as well.
+    """Draws LunarLander's physics for each episode anew ([4]), and adds them to its last info.
 
-    `widths` says how far a quantity may be from its usual value; what LunarLander does not accept
-    is never drawn. The generator is this wrapper's own, seeded when the environment is.
+    `widths`: how far gravity, wind power and turbulence may be from the usual. Values out of
+    LunarLander's range are not drawn. The generator is the wrapper's own, seeded by `reset`.
     """
 
     RANGES = {"gravity": (-10.0, -11.99, -0.01), "wind_power": (15.0, 0.0, 20.0),
@@ -88,8 +122,8 @@ class RandomPhysics(gym.Wrapper):
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
-            self.random = np.random.default_rng([seed, 1])  # [seed] would repeat the environment's
-        self.physics = {"enable_wind": bool(self.random.random() < 0.5)}
+            self.random = np.random.default_rng([seed, 1])  # [seed] is what the environment draws
+        self.physics = {"enable_wind": bool(self.random.integers(2))}
         for width, (name, (usual, lowest, highest)) in zip(self.widths, self.RANGES.items()):
             low, high = max(usual - width, lowest), min(usual + width, highest)
             self.physics[name] = self.random.uniform(low, high)
@@ -97,17 +131,17 @@ class RandomPhysics(gym.Wrapper):
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action):
-        obs, reward, terminated, truncated, info = self.env.step(action)
+        *transition, info = self.env.step(action)
         if info:
-            info = {"episode": (*info["episode"], *self.physics.values())}
-        return obs, reward, terminated, truncated, info
+            info["episode"] += tuple(self.physics.values())
+        return *transition, info
 
 
-def make_env(args, index):
-    """Environment `index` of N. In a process of its own it leaves Ctrl-C to its parent."""
+def make_env(args, index, **options):
+    """One environment, with new physics in each episode if asked for."""
     if multiprocessing.parent_process():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    env = CheckedEnv(gym.make(args.env_id), index)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the business of the main process
+    env = CheckedEnv(gym.make(args.env_id, **options), index)
     widths = args.gravity_width, args.wind_width, args.turbulence_width
     return RandomPhysics(env, widths) if args.randomize else env
 
@@ -115,9 +149,8 @@ def make_env(args, index):
 def make_envs(args):
     """N environments, stepped together; whichever ends restarts within the same step."""
     makers = [lambda i=i: make_env(args, i) for i in range(args.num_envs)]
-    vector_env = {"sync": gym.vector.SyncVectorEnv, "async": gym.vector.AsyncVectorEnv}
-    mode = gym.vector.AutoresetMode.SAME_STEP
-    return vector_env[args.vectorization](makers, autoreset_mode=mode)
+    kinds = {"sync": gym.vector.SyncVectorEnv, "async": gym.vector.AsyncVectorEnv}
+    return kinds[args.vectorization](makers, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
 
 
 def make_seeds(seed, stream, count):
@@ -157,13 +190,13 @@ class RunningNorm(nn.Module):
         self.count += len(rows)
 
 
-def mlp(inputs, hidden, outputs, output_gain):
-    """Two tanh layers and a linear one, orthogonal weights, zero biases."""
+def mlp(inputs, hidden, outputs, output_gain, activation):
+    """Two hidden layers and a linear one, orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+    return nn.Sequential(layers[0], activation(), layers[1], activation(), layers[2])
 
 
 class Policy(nn.Module):
@@ -172,7 +205,7 @@ class Policy(nn.Module):
     def __init__(self, norm, action_space, hidden):
         super().__init__()
         self.norm, self.first_action = norm, int(action_space.start)
-        self.logits = mlp(len(norm.mean), hidden, int(action_space.n), output_gain=0.01)
+        self.logits = mlp(len(norm.mean), hidden, int(action_space.n), 0.01, nn.ReLU)
 
     def forward(self, obs):
         """Observations (…, D) -> the distribution of an action (…), counted from 0."""
@@ -192,10 +225,10 @@ class Policy(nn.Module):
 class Critic(nn.Module):
     """V(s), the expected discounted sum of scaled rewards: (…, D) -> (…,)."""
 
-    def __init__(self, norm, hidden):
+    def __init__(self, norm, hidden, activation):
         super().__init__()
         self.norm = norm
-        self.value = mlp(len(norm.mean), hidden, 1, output_gain=1.0)
+        self.value = mlp(len(norm.mean), hidden, 1, 1.0, activation)
 
     def forward(self, obs):
         return self.value(self.norm(obs)).squeeze(-1)
@@ -204,9 +237,9 @@ class Critic(nn.Module):
 def make_agent(args, env):
     """Policy, critic, all statistics as one module: its state_dict is all that acting needs."""
     norm = RunningNorm(env.observation_space.shape)
-    policy = Policy(norm, env.action_space, args.hidden_size)
-    agent = {"policy": policy, "critic": Critic(norm, args.hidden_size)}
-    return nn.ModuleDict({**agent, "reward_norm": RunningNorm(())}).to(args.device)
+    agent = {"policy": Policy(norm, env.action_space, args.hidden_size),
+             "critic": Critic(norm, args.hidden_size, nn.ReLU)}
+    return nn.ModuleDict(agent).to(args.device)
 
 
 # --- Rollout --------------------------------------------------------------------------------------
@@ -239,20 +272,6 @@ def rollout(envs, policy, obs, num_steps, env_step):
 # --- Returns and advantages -----------------------------------------------------------------------
 
 
-def scale_rewards(rewards, done, carry, reward_norm, gamma):
-    """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
-
-    G looks back, unlike what V predicts, so it is known at once; it only serves to find the scale.
-    `carry` (N,), γ·G from the rollout before, is returned for the next one.
-    """
-    scales = torch.empty_like(rewards)
-    for t in range(len(rewards)):
-        scales[t] = rewards[t] + carry
-        carry = gamma * torch.where(done[t], 0.0, scales[t])
-    reward_norm.update(scales.flatten())
-    return rewards / reward_norm.var.sqrt(), carry
-
-
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
     """Generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
@@ -276,21 +295,22 @@ def policy_loss(log_probs, advantages):
 
 
 def value_loss(values, targets):
-    """E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
-    return ((values - targets) ** 2).mean()
+    """½·E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    return ((values - targets) ** 2).mean() / 2
 
 
 # --- Training -------------------------------------------------------------------------------------
 
 
 def optimise(agent, optimizer, transitions, args):
-    """One gradient step. Returns the diagnostics."""
+    """Steps 2 to 4. Returns the diagnostics."""
     states, actions, rewards, next_states, terminated, done = transitions.values()
     values = agent["critic"](states)
-    with torch.no_grad():
+    with torch.no_grad():  # advantages and targets are data: no gradient goes through them
         next_values = agent["critic"](next_states)
-        advantages = compute_gae(rewards, values, next_values, terminated, done, args.gamma,
-                                 args.gae_lambda)
+        discounts = args.gamma, args.gae_lambda
+        rewards = args.reward_scale * rewards
+        advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
         targets = advantages + values
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
     distribution = agent["policy"](states)
@@ -298,14 +318,15 @@ def optimise(agent, optimizer, transitions, args):
     loss_pi = policy_loss(distribution.log_prob(actions), advantages)
     loss_v = value_loss(values, targets)
     optimizer.zero_grad()
-    (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()
-    grad_norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
-    if not grad_norm.isfinite():
+    (loss_pi - args.entropy_coef * entropy + loss_v).backward()  # they share no parameters
+    grad_norm = nn.utils.clip_grad_norm_(agent["policy"].parameters(), args.max_grad_norm)
+    critic_norm = nn.utils.clip_grad_norm_(agent["critic"].parameters(), args.max_grad_norm)
+    if not (grad_norm + critic_norm).isfinite():
         sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
-    optimizer.step()
-    diagnostics = {"actor_loss": loss_pi, "critic_loss": loss_v, "entropy": entropy,
+    optimizer.step()  # step 4
+    diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
                    "explained_variance": 1 - (targets - values).var() / targets.var(),
-                   "grad_norm": grad_norm}
+                   "grad_norm": grad_norm, "critic_grad_norm": critic_norm}
     return {name: x.item() for name, x in diagnostics.items()}
 
 
@@ -318,26 +339,31 @@ def train(args, seed, folder, stop, bar_position=0):
     num_updates = math.ceil(args.total_steps / (T * N))
     envs, eval_env = make_envs(args), CheckedEnv(gym.make(args.env_id), "of evaluation")
     agent = make_agent(args, eval_env)
-    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
+    optimizer = torch.optim.Adam([
+        {"params": agent["policy"].parameters(), "lr": args.learning_rate},
+        {"params": agent["critic"].parameters(), "lr": args.critic_learning_rate}],
+        eps=1e-5, fused=True)
+    anneal = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda update: 1 - update / num_updates)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=N))
+    columns = ["env_step", "return", "length"]
+    columns += args.randomize * ["enable_wind", *RandomPhysics.RANGES]
     env_step, seconds, evaluation, recent = 0, 0.0, {}, []
-    carry = torch.zeros(N, device=args.device)
     clock = time.perf_counter()
     bar = tqdm(range(num_updates), f"seed {seed}", unit="step", unit_scale=T * N,
                position=bar_position)
     for update in bar:
-        learning_rate = args.learning_rate * (1 - update / num_updates)
-        optimizer.param_groups[0]["lr"] = learning_rate
-        batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
-        batch["rewards"], carry = scale_rewards(
-            batch["rewards"], batch["done"], carry, agent["reward_norm"], args.gamma)  # step 2
-        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
-        agent["policy"].norm.update(batch["states"].flatten(0, 1))
+        try:
+            batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
+        except (EOFError, ConnectionError) as error:
+            raise gym.error.Error(f"the process of an environment died: {error!r}") from error
+        diagnostics = optimise(agent, optimizer, batch, args)  # steps 2 to 4
+        agent["policy"].norm.update(batch["states"].flatten(0, 1))  # step 5
         env_step += T * N
         duration = time.perf_counter() - clock
         seconds += duration
-        metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
+        metrics = {"env_step": env_step, **diagnostics, "learning_rate": anneal.get_last_lr()[0],
                    "steps_per_second": T * N / duration}
+        anneal.step()  # the end of step 5
 
         last = update + 1 == num_updates or stop.is_set()
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
@@ -346,8 +372,7 @@ def train(args, seed, folder, stop, bar_position=0):
             append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
         clock = time.perf_counter()  # evaluation is not training, all else is
         append_rows(folder / "metrics.csv", [metrics])
-        names = "env_step", "return", "length", *args.randomize * ("wind", *RandomPhysics.RANGES)
-        append_rows(folder / "episodes.csv", episodes, names)
+        append_rows(folder / "episodes.csv", episodes, columns)
         save_checkpoint(folder, args, seed, agent=agent.state_dict())
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
@@ -385,9 +410,14 @@ def evaluate(policy, env, seeds):
             "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
 
 
+def has_display():
+    """Whether a window can open: on Linux the environment says so, elsewhere it always can."""
+    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+
+
 def watch(args):
     """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
-    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    window = has_display()
     os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
     agent = make_agent(args, gym.make(args.env_id))
     agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
@@ -405,31 +435,55 @@ def watch(args):
         print(gif)
 
 
+def fly(args):
+    """Play it yourself: key 0 is action 0, and so on; Esc ends. Prints each episode's return."""
+    if not has_display():
+        sys.exit("error: argument --play: got no display, takes one, and a keyboard")
+
+    def report(*step):
+        if step[-1]:  # the last info of an episode
+            print("return {:.1f} in {} steps".format(*step[-1]["episode"]))
+
+    import gymnasium.utils.play  # here, since it switches matplotlib over to a window
+
+    env = make_env(args, "of yours", render_mode="rgb_array")
+    keys = {str(action): action for action in range(env.action_space.n)}
+    gymnasium.utils.play.play(env, keys_to_action=keys, callback=report)
+
+
 # --- Plot -----------------------------------------------------------------------------------------
 
 
+PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
+          ("episodes", "env_step", "length"), ("evals", "env_step", "return_mean"),
+          ("evals", "env_step", "length_mean"),
+          *(("metrics", "env_step", name) for name in (
+              "policy_loss", "value_loss", "entropy", "explained_variance", "grad_norm",
+              "critic_grad_norm", "steps_per_second"))]
+
+
 def plot(folder):
-    """learning_curve.png: each column of each CSV: thin lines for seeds, their mean ± one std."""
+    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
-             "approx_kl": " (nats)"}
-    tables = []
-    for file in sorted(folder.glob("seed-*/*.csv")):
-        table = pd.read_csv(file).drop(columns="episodes", errors="ignore")
-        table = table.melt("env_step", var_name="panel").assign(seed=file.parent.name)
-        table["panel"] = [f"{file.stem}: {x}{units.get(x, '')}" for x in table["panel"]]
-        tables.append(table)
-    data = pd.concat(tables)
-    width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
-    data["env_step"] = np.ceil(data["env_step"] / width) * width
-    data = data.groupby(["panel", "seed", "env_step"], sort=False, as_index=False)["value"].mean()
-    lines = {"x": "env_step", "y": "value"}
-    grid = sns.relplot(data, **lines, kind="line", errorbar="sd", col="panel", col_wrap=5, height=3,
-                       aspect=1.3, facet_kws={"sharey": False})
-    grid.map_dataframe(sns.lineplot, **lines, units="seed", estimator=None, linewidth=0.5)
-    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
-    grid.figure.suptitle(folder.name, y=1.01)
-    grid.savefig(folder / "learning_curve.png", dpi=100)
+             "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}
+    rows = len(PANELS) // 4
+    figure = Figure(figsize=(20, 4 * rows), layout="constrained")  # pyplot might seek a display
+    for axis, (table, x, y) in zip(figure.subplots(rows, 4).flat, PANELS):
+        files = sorted(folder.glob(f"seed-*/{table}.csv"))
+        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        if data.empty:
+            continue  # an early Ctrl-C: no episode has ended yet
+        data["episode"] = data.groupby("seed").cumcount() + 1
+        width = max(1, data[x].max() / 60)  # seeds end their episodes at different steps
+        data[x] = np.ceil(data[x] / width) * width
+        lines = {"data": data.groupby(["seed", x], as_index=False)[y].mean(), "x": x, "y": y}
+        sns.lineplot(**lines, errorbar=("se", 1.96), ax=axis)
+        sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5, ax=axis)
+        axis.set(xlabel=units[x], ylabel=f"{table}: {y}{units.get(y, '')}")
+        axis.locator_params(axis="x", nbins=5)
+    figure.suptitle(folder.name)
+    figure.savefig(folder / "learning_curve.png", dpi=100)
 
 
 # --- Run folder -----------------------------------------------------------------------------------
@@ -531,10 +585,11 @@ def parse_args(argv=None):
     add("--num-envs", type=count, default=16, help="N, environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--rollout-steps", type=count, default=32, help="T, steps of each in a rollout")
-    add("--learning-rate", type=weight, default=3e-3, help="of Adam at first; it falls to 0")
+    add("--learning-rate", type=weight, default=1e-3, help="of π at first; it falls to 0")
+    add("--critic-learning-rate", type=weight, default=3e-3, help="the same of V")
     add("--gamma", type=share, default=0.999, help="γ, discount of rewards")
     add("--gae-lambda", type=share, default=0.98, help="λ, trust in rewards (1) or V (0)")
-    add("--value-coef", type=weight, default=0.5, help="c_V, weight of the value loss")
+    add("--reward-scale", type=weight, default=0.1, help="constant that rewards are multiplied by")
     add("--entropy-coef", type=weight, default=0.01, help="c_H, weight of the entropy")
     add("--max-grad-norm", type=weight, default=0.5, help="longer gradients are shortened")
     add("--hidden-size", type=count, default=64, help="units in each hidden layer")
@@ -546,11 +601,14 @@ def parse_args(argv=None):
     add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")
+    add("--play", action="store_true", help="play it yourself: keys 0, 1, … are the actions")
     add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
     args, env, require = parse_and_check(parser, argv)
     actions, batch_size = env.action_space, args.num_envs * args.rollout_steps
     discrete = isinstance(actions, gym.spaces.Discrete)
     require("env_id", discrete, f"Discrete actions, not {actions} (see ppo_continuous.py)")
+    lander = RandomPhysics.RANGES.keys() <= vars(env.unwrapped).keys()
+    require("randomize", lander or not args.randomize, "an environment with LunarLander's physics")
     require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
     return args
 
@@ -591,6 +649,8 @@ def main():
     args = parse_args()
     if args.watch:
         watch(args)
+    elif args.play:
+        fly(args)
     else:
         train_seeds(args, make_folder(args))
 

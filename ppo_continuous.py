@@ -67,6 +67,7 @@ import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
+from matplotlib.figure import Figure
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -146,13 +147,13 @@ class RunningNorm(nn.Module):
         self.count += len(rows)
 
 
-def mlp(inputs, hidden, outputs, output_gain):
-    """Two tanh layers and a linear one, orthogonal weights, zero biases."""
+def mlp(inputs, hidden, outputs, output_gain, activation):
+    """Two hidden layers and a linear one, orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+    return nn.Sequential(layers[0], activation(), layers[1], activation(), layers[2])
 
 
 class Policy(nn.Module):
@@ -168,7 +169,7 @@ class Policy(nn.Module):
     def __init__(self, norm, action_space, hidden, log_std, std_speed, squash):
         super().__init__()
         self.norm, self.std_speed, self.squash = norm, std_speed, squash
-        self.mean_net = mlp(len(norm.mean), hidden, action_space.shape[0], output_gain=0.01)
+        self.mean_net = mlp(len(norm.mean), hidden, action_space.shape[0], 0.01, nn.Tanh)
         self.slow_log_std = nn.Parameter(torch.full(action_space.shape, log_std / std_speed))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
@@ -195,10 +196,10 @@ class Policy(nn.Module):
 class Critic(nn.Module):
     """V(s), the expected discounted sum of scaled rewards: (…, D) -> (…,)."""
 
-    def __init__(self, norm, hidden):
+    def __init__(self, norm, hidden, activation):
         super().__init__()
         self.norm = norm
-        self.value = mlp(len(norm.mean), hidden, 1, output_gain=1.0)
+        self.value = mlp(len(norm.mean), hidden, 1, 1.0, activation)
 
     def forward(self, obs):
         return self.value(self.norm(obs)).squeeze(-1)
@@ -209,7 +210,7 @@ def make_agent(args, env):
     norm = RunningNorm(env.observation_space.shape)
     policy = Policy(norm, env.action_space, args.hidden_size, args.log_std,
                     args.std_speed, args.squash)
-    critic = Critic(norm, args.hidden_size)
+    critic = Critic(norm, args.hidden_size, nn.Tanh)
     agent = {"policy": policy, "critic": critic, "reward_norm": RunningNorm(())}
     return nn.ModuleDict(agent).to(args.device)
 
@@ -424,9 +425,14 @@ def evaluate(policy, env, seeds):
             "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
 
 
+def has_display():
+    """Whether a window can open: on Linux the environment says so, elsewhere it always can."""
+    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+
+
 def watch(args):
     """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
-    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    window = has_display()
     os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
     agent = make_agent(args, gym.make(args.env_id))
     agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
@@ -447,28 +453,36 @@ def watch(args):
 # --- Plot -----------------------------------------------------------------------------------------
 
 
+PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
+          ("episodes", "env_step", "length"), ("evals", "env_step", "return_mean"),
+          ("evals", "env_step", "length_mean"), ("evals", "env_step", "return_std"),
+          *(("metrics", "env_step", name) for name in (
+              "policy_loss", "value_loss", "entropy", "policy_std", "approx_kl", "clip_fraction",
+              "explained_variance", "grad_norm", "learning_rate", "steps_per_second"))]
+
+
 def plot(folder):
-    """learning_curve.png: each column of each CSV: thin lines for seeds, their mean ± one std."""
+    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
-             "approx_kl": " (nats)"}
-    tables = []
-    for file in sorted(folder.glob("seed-*/*.csv")):
-        table = pd.read_csv(file).drop(columns="episodes", errors="ignore")
-        table = table.melt("env_step", var_name="panel").assign(seed=file.parent.name)
-        table["panel"] = [f"{file.stem}: {x}{units.get(x, '')}" for x in table["panel"]]
-        tables.append(table)
-    data = pd.concat(tables)
-    width = max(1, data["env_step"].max() / 60)  # seeds end their episodes at different steps
-    data["env_step"] = np.ceil(data["env_step"] / width) * width
-    data = data.groupby(["panel", "seed", "env_step"], sort=False, as_index=False)["value"].mean()
-    lines = {"x": "env_step", "y": "value"}
-    grid = sns.relplot(data, **lines, kind="line", errorbar="sd", col="panel", col_wrap=5, height=3,
-                       aspect=1.3, facet_kws={"sharey": False})
-    grid.map_dataframe(sns.lineplot, **lines, units="seed", estimator=None, linewidth=0.5)
-    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
-    grid.figure.suptitle(folder.name, y=1.01)
-    grid.savefig(folder / "learning_curve.png", dpi=100)
+             "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}
+    rows = len(PANELS) // 4
+    figure = Figure(figsize=(20, 4 * rows), layout="constrained")  # pyplot might seek a display
+    for axis, (table, x, y) in zip(figure.subplots(rows, 4).flat, PANELS):
+        files = sorted(folder.glob(f"seed-*/{table}.csv"))
+        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        if data.empty:
+            continue  # an early Ctrl-C: no episode has ended yet
+        data["episode"] = data.groupby("seed").cumcount() + 1
+        width = max(1, data[x].max() / 60)  # seeds end their episodes at different steps
+        data[x] = np.ceil(data[x] / width) * width
+        lines = {"data": data.groupby(["seed", x], as_index=False)[y].mean(), "x": x, "y": y}
+        sns.lineplot(**lines, errorbar=("se", 1.96), ax=axis)
+        sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5, ax=axis)
+        axis.set(xlabel=units[x], ylabel=f"{table}: {y}{units.get(y, '')}")
+        axis.locator_params(axis="x", nbins=5)
+    figure.suptitle(folder.name)
+    figure.savefig(folder / "learning_curve.png", dpi=100)
 
 
 # --- Run folder -----------------------------------------------------------------------------------

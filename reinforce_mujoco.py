@@ -24,7 +24,7 @@ clipped to its bounds, and returns a reward r and the next state, until the epis
        none   b = 0
        mean   b = the mean of G over all steps of 1, and A is divided by their standard deviation
        value  b_t = V(s_t), a second network that learns to predict G_t
-  4. One step of Adam on −E[A·log π(u|s)] and, if there is a V, on E[(V(s) − G)²]
+  4. One step of Adam on −E[A·log π(u|s)] and, if there is a V, on ½·E[(V(s) − G)²]
   5. Lower the learning rate, go to 1.
 
 Why it learns: the gradient of the expected return is E[G·∇log π(u|s)] ([1]; [2] section 13.3). It
@@ -36,7 +36,7 @@ estimate falls, and with it the number of episodes that are needed. (In `mean`, 
 little, as one of the many steps of the batch.) `tests/benchmark.py baselines` measures both.
 
 What a time limit costs: an episode that is cut off looks as if no reward would have come after it,
-so the last 1/(1−γ) = 100 steps or so look worse than they are. REINFORCE cannot know better; with
+so the last 1/(1−γ) = 50 steps or so look worse than they are. REINFORCE cannot know better; with
 --baseline value it can, and G_T = V(s_T) at a time limit ([3]).
 
 Left out on purpose: several environments and a critic that shortens the wait for the rewards, which
@@ -125,6 +125,8 @@ class Policy(nn.Module):
         (inputs,), (outputs,) = env.observation_space.shape, env.action_space.shape
         self.trunk = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh())
         self.mean, self.raw_std = nn.Linear(32, outputs), nn.Linear(32, outputs)
+        for head in (self.mean, self.raw_std):
+            nn.init.normal_(head.weight, std=0.01)  # at first, much the same in every state
         self.register_buffer("low", torch.as_tensor(env.action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(env.action_space.high, dtype=torch.float32))
 
@@ -181,8 +183,8 @@ def policy_loss(log_probs, advantages):
 
 
 def value_loss(values, targets):
-    """E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
-    return ((values - targets) ** 2).mean()
+    """½·E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    return ((values - targets) ** 2).mean() / 2
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -291,9 +293,14 @@ def evaluate(policy, env, seeds):
             "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
 
 
+def has_display():
+    """Whether a window can open: on Linux the environment says so, elsewhere it always can."""
+    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+
+
 def watch(args):
     """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
-    window = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)
+    window = has_display()
     os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
     agent = make_agent(args, gym.make(args.env_id))
     agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
@@ -314,24 +321,31 @@ def watch(args):
 # --- Plot -----------------------------------------------------------------------------------------
 
 
+PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
+          ("episodes", "env_step", "length"), ("evals", "env_step", "return_mean"),
+          *(("metrics", "env_step", name) for name in (
+              "policy_loss", "policy_std", "grad_norm", "steps_per_second"))]
+
+
 def plot(folder):
     """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
-    panels = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
-              ("evals", "env_step", "return_mean"), ("metrics", "env_step", "policy_loss"),
-              ("metrics", "env_step", "policy_std"), ("metrics", "env_step", "grad_norm")]
-    units = {"return": " (raw)", "return_mean": " (raw)"}
-    figure = Figure(figsize=(15, 8), layout="constrained")
-    for axis, (table, x, y) in zip(figure.subplots(2, 3).flat, panels):
+    units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
+             "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
+             "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}
+    rows = len(PANELS) // 4
+    figure = Figure(figsize=(20, 4 * rows), layout="constrained")  # pyplot might seek a display
+    for axis, (table, x, y) in zip(figure.subplots(rows, 4).flat, PANELS):
         files = sorted(folder.glob(f"seed-*/{table}.csv"))
         data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
+        if data.empty:
+            continue  # an early Ctrl-C: no episode has ended yet
         data["episode"] = data.groupby("seed").cumcount() + 1
         width = max(1, data[x].max() / 60)  # seeds end their episodes at different steps
         data[x] = np.ceil(data[x] / width) * width
         lines = {"data": data.groupby(["seed", x], as_index=False)[y].mean(), "x": x, "y": y}
         sns.lineplot(**lines, errorbar=("se", 1.96), ax=axis)
         sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5, ax=axis)
-        label = "episodes" if x == "episode" else "environment steps"
-        axis.set(xlabel=label, ylabel=f"{table}: {y}{units.get(y, '')}")
+        axis.set(xlabel=units[x], ylabel=f"{table}: {y}{units.get(y, '')}")
         axis.locator_params(axis="x", nbins=5)
     figure.suptitle(folder.name)
     figure.savefig(folder / "learning_curve.png", dpi=100)
@@ -436,7 +450,7 @@ def parse_args(argv=None):
     add("--batch-episodes", type=count, default=4, help="E, episodes of a gradient step")
     add("--baseline", choices=("none", "mean", "value"), default="mean", help="b, see above")
     add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
-    add("--gamma", type=share, default=0.99, help="γ, discount of rewards")
+    add("--gamma", type=share, default=0.98, help="γ, discount of rewards")
     add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
     add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")

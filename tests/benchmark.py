@@ -1,4 +1,4 @@
-"""Every number and picture that the README shows: python tests/benchmark.py speed|returns|squash"""
+"""Every number and picture that the README shows: python tests/benchmark.py --help lists them."""
 
 import argparse
 import importlib.metadata
@@ -13,25 +13,39 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
+import gymnasium as gym
+import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+import a2c_vector as a2c
 import ppo_continuous as ppo
+import reinforce_mujoco as reinforce
 
-DEFAULTS = vars(ppo.parse_args([]))
-STEPS = {DEFAULTS["env_id"]: DEFAULTS["total_steps"]}  # the table of environments
-STEPS |= {f"{name}-v5": 1_000_000 for name in (
+SCRIPTS = {script.SCRIPT: script for script in (ppo, a2c, reinforce)}
+DEFAULTS = {name: vars(script.parse_args([])) for name, script in SCRIPTS.items()}
+STEPS = {name: {x["env_id"]: x["total_steps"]} for name, x in DEFAULTS.items()}
+STEPS[ppo.SCRIPT] |= {f"{name}-v5": 1_000_000 for name in (  # the table of environments
     "HalfCheetah", "Hopper", "Walker2d", "Ant", "Swimmer", "Reacher", "InvertedPendulum")}
+SEEDS = {name: [1, 2, 3, 5, 8] if name == reinforce.SCRIPT else [1, 2, 3, 4, 5] for name in SCRIPTS}
 
 
-def run_script(*arguments):
-    """Run the script as a user would; returns its run folder. Its bars go to stderr."""
-    command = [sys.executable, ppo.__file__, *map(str, arguments)]
+def run_script(script, *arguments):
+    """Run a script as a user would; returns its run folder. Its bars go to stderr."""
+    command = [sys.executable, SCRIPTS[script].__file__, *map(str, arguments)]
     output = subprocess.check_output(command, text=True)
     return Path(output.splitlines()[-1]).parent  # it ends with the path of its learning curve
+
+
+def fresh(*task):
+    """Call a function in a new process: it inherits neither threads nor caches nor timers."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(*task).result()
 
 
 def print_table(header, rows):
@@ -50,41 +64,64 @@ def print_machine(versions):
 # --- Speed ----------------------------------------------------------------------------------------
 
 
-def our_speed(env_id, steps, seed):
-    with tempfile.TemporaryDirectory() as out_dir:
-        folder = run_script("--seed", seed, "--env-id", env_id, "--total-steps", steps,
-                            "--eval-every", 0, "--eval-episodes", 1, "--out-dir", out_dir)
-        return json.loads((folder / f"seed-{seed}/summary.json").read_text())["steps_per_second"]
+def make_envs(script, args):
+    """The environments of a training; for REINFORCE a single one, not in a vector."""
+    if script == reinforce.SCRIPT:
+        return reinforce.CheckedEnv(gym.make(args.env_id), 0)
+    if script == a2c.SCRIPT:
+        return a2c.make_envs(args)
+    return ppo.make_envs(args.env_id, args.num_envs)
 
 
-def sb3_speed(env_id, steps, seed):
-    """The PPO of stable-baselines3 with its default hyperparameters."""
-    from stable_baselines3 import PPO  # optional
+def train(script, flags, seed):
+    """Train without evaluations, in this process; returns the summary."""
+    SCRIPTS[script].evaluate = lambda *_: {}
+    with tempfile.TemporaryDirectory() as folder:
+        args = SCRIPTS[script].parse_args(flags)
+        SCRIPTS[script].train(args, seed, Path(folder), multiprocessing.Event())
+        return json.loads(Path(folder, "summary.json").read_text())
+
+
+def our_speed(script, flags, seed):
+    return train(script, flags, seed)["steps_per_second"]
+
+
+def sb3_speed(script, flags, seed):
+    """The same algorithm in stable-baselines3, with its default hyperparameters."""
+    import stable_baselines3 as sb3  # optional
     from stable_baselines3.common import env_util, vec_env
 
     torch.set_num_threads(1)  # as ours
-    envs = vec_env.VecNormalize(env_util.make_vec_env(env_id, 8, seed))  # steps them in turn
-    model = PPO("MlpPolicy", envs, seed=seed, device="cpu")
+    args, is_ppo = SCRIPTS[script].parse_args(flags), script == ppo.SCRIPT
+    envs = env_util.make_vec_env(args.env_id, 8 if is_ppo else 16, seed)  # steps them in turn
+    envs = vec_env.VecNormalize(envs) if is_ppo else envs
+    model = (sb3.PPO if is_ppo else sb3.A2C)("MlpPolicy", envs, seed=seed, device="cpu")
     start = time.perf_counter()
-    model.learn(steps)  # rounds up to whole rollouts, as ours does
+    model.learn(args.total_steps)  # rounds up to whole rollouts, as ours does
     return model.num_timesteps / (time.perf_counter() - start)
 
 
-def random_speed(env_id, steps, seed):
+def random_speed(script, flags, seed):
     """Our environments without a learner: actions drawn beforehand."""
-    envs = ppo.make_envs(env_id, DEFAULTS["num_envs"])
+    args = SCRIPTS[script].parse_args(flags)
+    envs = make_envs(script, args)
     envs.action_space.seed(seed)
     envs.reset(seed=seed)
-    actions = [envs.action_space.sample() for _ in range(math.ceil(steps / envs.num_envs))]
+    count = getattr(envs, "num_envs", 1)
+    actions = [envs.action_space.sample() for _ in range(math.ceil(args.total_steps / count))]
     start = time.perf_counter()
     for action in actions:
-        envs.step(action)
-    return len(actions) * envs.num_envs / (time.perf_counter() - start)
+        _, _, terminated, truncated, _ = envs.step(action)
+        if script == reinforce.SCRIPT and (terminated or truncated):  # a vector does it by itself
+            envs.reset()
+    duration = time.perf_counter() - start
+    envs.close()
+    return len(actions) * count / duration
 
 
-def our_shares(env_id, steps):
+def our_shares(script, flags):
     """Where the seconds of a training run go; evaluation is none of it, as in steps_per_second."""
-    seconds = dict.fromkeys(("environment", "policy", "update"), 0.0)
+    module, seconds = SCRIPTS[script], {}
 
     def add_timer(owner, name, part):
         function = getattr(owner, name)
@@ -92,38 +129,37 @@ def our_shares(env_id, steps):
         def timed(*args, **kwargs):
             start = time.perf_counter()
             result = function(*args, **kwargs)
-            seconds[part] += time.perf_counter() - start
+            seconds[part] = seconds.get(part, 0.0) + time.perf_counter() - start
             return result
 
         setattr(owner, name, timed)
 
-    add_timer(type(ppo.make_envs(env_id, 1)), "step", "environment")
-    add_timer(ppo.Policy, "act", "policy")
-    add_timer(ppo, "optimise", "update")
-    ppo.evaluate = lambda *_: {}  # it would call Policy.act, too
-    args = ppo.parse_args(["--env-id", env_id, "--total-steps", str(steps), "--eval-every", "0"])
-    with tempfile.TemporaryDirectory() as folder:
-        ppo.train(args, 1, Path(folder), multiprocessing.Event())
-        total = json.loads(Path(folder, "summary.json").read_text())["train_seconds"]
-    seconds["rest"] = total - sum(seconds.values())
+    kind, rest = type(make_envs(script, module.parse_args(flags))), "rest"
+    add_timer(kind, "step", "environment")
+    add_timer(module.Policy, "act", "policy")
+    if script == reinforce.SCRIPT:
+        add_timer(kind, "reset", "environment")
+        rest = "update and rest"
+    else:
+        add_timer(module, "optimise", "update")
+    total = train(script, flags, 1)["train_seconds"]
+    seconds[rest] = total - sum(seconds.values())
     return {part: x / total for part, x in seconds.items()}
 
 
-def fresh(*task):
-    """Call a function in a new process: it inherits neither threads nor caches nor timers."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(*task).result()
-
-
 def speed(args):
-    versions = ppo.versions()
+    versions = SCRIPTS[args.script].versions()
     measures = {"ours": our_speed, "stable-baselines3": sb3_speed, "random actions": random_speed}
     try:
         versions["stable-baselines3"] = importlib.metadata.version("stable-baselines3")
     except importlib.metadata.PackageNotFoundError:
         print("stable-baselines3 goes unmeasured: pip install stable-baselines3")
         del measures["stable-baselines3"]
-    rows = [[fresh(measure, args.env_id, args.steps, seed) for measure in measures.values()]
+    if args.script == reinforce.SCRIPT:
+        measures.pop("stable-baselines3", None)  # it has no REINFORCE
+    usual = "HalfCheetah-v5" if args.script == ppo.SCRIPT else DEFAULTS[args.script]["env_id"]
+    flags = ["--env-id", args.env_id or usual, "--total-steps", str(args.steps)]
+    rows = [[fresh(measure, args.script, flags, seed) for measure in measures.values()]
             for seed in range(1, args.pairs + 1)]  # in turns: a busy machine slows all alike
     data = pd.DataFrame(rows, columns=list(measures))
     data.to_csv(args.out_dir / "speed.csv", index=False)
@@ -132,75 +168,367 @@ def speed(args):
     for name in data.columns[1:]:
         ratio = data["ours"] / data[name]
         print(f"ours / {name}: median {ratio.median():.3f}, {ratio.min():.3f} to {ratio.max():.3f}")
-    shares = fresh(our_shares, args.env_id, args.steps)
+    shares = fresh(our_shares, args.script, flags)
     print("our time:", ", ".join(f"{name} {share:.0%}" for name, share in shares.items()))
     print_machine(json.dumps(versions))
+
+
+# --- Scaling --------------------------------------------------------------------------------------
+
+
+def scaling(args):
+    """Speed of stepping and of training against the number of environments, sync and async."""
+    measures, rows = {"stepping": random_speed, "training": our_speed}, []
+    for seed in range(1, args.repeats + 1):  # in turns: a busy machine slows all alike
+        for count in args.num_envs:
+            for kind in ("sync", "async"):
+                flags = ["--num-envs", str(count), "--vectorization", kind, "--rollout-steps",
+                         str(max(1, 512 // count)), "--total-steps", str(args.steps)]
+                rows += [{"measure": name, "vectorization": kind, "environments": count,
+                          "speed": fresh(function, a2c.SCRIPT, flags, seed)}
+                         for name, function in measures.items()]
+    keys = ["measure", "vectorization", "environments"]
+    data = pd.DataFrame(rows).groupby(keys, sort=False)["speed"].median().reset_index()
+    base = data[data["vectorization"].eq("sync") & data["environments"].eq(args.num_envs[0])]
+    data["psi"] = data["speed"] / data["measure"].map(base.set_index("measure")["speed"])
+    data["p"] = data["environments"].clip(upper=os.cpu_count()).where(
+        data["vectorization"].eq("async"), 1)
+    parallel = data[data["p"] > 1]
+    data["e"] = (1 / parallel["psi"] - 1 / parallel["p"]) / (1 - 1 / parallel["p"])
+    data["limit"] = 1 / data["e"].where(data["e"] > 0)
+    data.to_csv(args.out_dir / "scaling.csv", index=False)
+    shown = data.assign(speed=data["speed"].round().astype(int))
+    shown = shown.round(2).astype(object).where(data.notna(), "–")
+    print_table([*keys, "steps/s", "speed-up ψ", "p", "Karp–Flatt e", "limit 1/e"],
+                shown.to_numpy().tolist())
+    print(f"\nψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1 and e "
+          "is not defined: its speed-up comes\nfrom sharing the calls of the network and of the "
+          "vector, not from parallel processors. Async shares them, too;\nwhere that makes ψ larger "
+          "than p, e is negative and sets no limit.\n")
+    print(conclude(data))
+    draw_scaling(data, args.out_dir / "scaling.png")
+    print_machine(json.dumps(a2c.versions()))
+
+
+def conclude(data):
+    """Two sentences from the numbers: what is fastest, and what bounds it."""
+    rows = data.set_index(["measure", "vectorization", "environments"])
+    training, stepping = rows.loc["training"], rows.loc["stepping"]
+    best, first = training["speed"].idxmax(), data["environments"].iloc[0]
+    other = training.drop(best[0], level=0)["speed"]
+    share = training["speed"][best] / stepping["speed"][best]
+    text = (f"Training is fastest with {best[0]} at {best[1]} environments: "
+            f"{training['speed'][best]:.0f} steps per second, {training['psi'][best]:.1f} times sync "
+            f"at {first};\n{other.idxmax()[0]} reaches {other.max():.0f} at most, at "
+            f"{other.idxmax()[1]}.\nThere stepping alone takes {share:.0%} of the time, so that "
+            f"learning at no cost could not make it more than {1 / share:.1f} times as fast")
+    parallel = stepping[stepping["p"] > 1]
+    if parallel.empty:
+        return text + "."
+    kind, count = parallel["psi"].idxmax()
+    top = parallel.loc[kind, count]
+    text += (f";\nand {count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as fast "
+             f"as sync at {first} (sync at {count}: {stepping['psi']['sync', count]:.2f} times), e = "
+             f"{top['e']:.2f}, ")
+    if top["e"] >= 1:
+        return text + "so that sending results costs more than the processes save."
+    if top["e"] > 0:
+        return text + f"so that no number of cores would make that more than {top['limit']:.1f} times."
+    return text + "so that their serial part sets no limit here."
+
+
+def draw_scaling(data, path):
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    titles = {"speed": "environment steps per second", "psi": "speed-up ψ over one, sync",
+              "e": "serial fraction e (async only: sync has p = 1)"}
+    for axis, (y, title) in zip(figure.subplots(1, 3), titles.items()):
+        sns.lineplot(data, x="environments", y=y, hue="vectorization", style="measure", ax=axis,
+                     markers=True, legend=y == "speed")
+        axis.set_xscale("log", base=2)
+        ticks = sorted(data["environments"].unique())
+        axis.set_xticks(ticks, ticks)
+        axis.set(ylabel=title, xlabel="environments", xlim=(ticks[0] / 1.2, ticks[-1] * 1.2))
+        if y == "e":
+            axis.axhline(0, color="grey", linewidth=0.5)
+    figure.savefig(path, dpi=100)
 
 
 # --- Returns --------------------------------------------------------------------------------------
 
 
-def collect(folders):
-    """Tables with a row per seed and a row per evaluation; `flags`: those not always at default."""
-    configs = [{**DEFAULTS, **json.loads((x / "args.json").read_text())} for x in folders]
-    names = sorted(DEFAULTS.keys() - {"seed", "env_id", "total_steps", "out_dir"})
-    names = [x for x in names if any(config[x] != DEFAULTS[x] for config in configs)]
-    rows, curves = [], []
+def collect(script, folders):
+    """A row per seed, one per evaluation, one per episode; `flags`: those not always at default."""
+    default = DEFAULTS[script]
+    configs = [{**default, **json.loads((x / "args.json").read_text())} for x in folders]
+    names = sorted(default.keys() - {"seed", "env_id", "total_steps", "out_dir"})
+    names = [x for x in names if any(config[x] != default[x] for config in configs)]
+    rows, curves = [], {"evals": [], "episodes": []}
     for folder, config in zip(folders, configs):
         flags = " ".join(f"--{name.replace('_', '-')} {config[name]}" for name in names)
         for seed in config["seed"]:  # one without a result is an error, not left out
             result = json.loads((folder / f"seed-{seed}/summary.json").read_text())
+            if result["script"] != script:
+                sys.exit(f"error: {folder} is of {result['script']}.py, not of {script}.py")
             if result["env_steps"] < config["total_steps"]:
                 sys.exit(f"error: {folder}: seed {seed} was stopped before its end")
+            keys = {"env_id": result["env_id"], "flags": flags, "seed": seed}
+            for name, tables in curves.items():
+                table = pd.read_csv(folder / f"seed-{seed}/{name}.csv")
+                tables.append(table[table.columns.difference(keys)].assign(**keys))
             result |= {"minutes": result["train_seconds"] / 60, "flags": flags,
+                       "total_steps": config["total_steps"],
+                       "last_100_returns": table["return"].tail(100).mean(),  # of the episodes
                        "versions": json.dumps(result["versions"])}
             rows.append({x: result[x] for x in (
-                "script", "env_id", "flags", "seed", "env_steps", "eval_return_mean",
-                "eval_return_std", "eval_episodes", "minutes", "steps_per_second", "versions")})
-            evals = pd.read_csv(folder / f"seed-{seed}/evals.csv")
-            curves.append(evals.assign(env_id=result["env_id"], flags=flags))
-    return pd.DataFrame(rows), pd.concat(curves, ignore_index=True)
+                "script", "env_id", "flags", "seed", "total_steps", "env_steps", "eval_return_mean",
+                "eval_return_std", "eval_episodes", "last_100_returns", "minutes",
+                "steps_per_second", "versions")})
+    return pd.DataFrame(rows), *(pd.concat(x, ignore_index=True) for x in curves.values())
 
 
 def summarise(data):
     """Rows of the README's table, one per environment and flags; std with n − 1."""
-    for (env_id, flags, steps), seeds in data.groupby(["env_id", "flags", "env_steps"], sort=False):
-        returns = seeds["eval_return_mean"]
-        yield (f"{env_id} {flags}", f"{steps:,}", f"{returns.mean():.1f} ± {returns.std():.1f}",
-               ", ".join(f"{x:.1f}" for x in returns), round(seeds["minutes"].mean(), 1),
-               round(seeds["steps_per_second"].mean()))
+    for (env_id, flags, _), seeds in data.groupby(["env_id", "flags", "total_steps"], sort=False):
+        returns, trained = seeds["eval_return_mean"], seeds["last_100_returns"]
+        yield (f"{env_id} {flags}", f"{seeds['env_steps'].mean():,.0f}",
+               f"{returns.mean():.1f} ± {returns.std():.1f}",
+               ", ".join(f"{x:.1f}" for x in returns), ", ".join(f"{x:.1f}" for x in trained),
+               round(seeds["minutes"].mean(), 1), round(seeds["steps_per_second"].mean()))
 
 
-def plot(curves, path):
+def in_bins(curves, y):
+    """Means of `y` in 60 bins of steps, per seed: not all seeds have rows at the same steps."""
+    width = curves.groupby("env_id")["env_step"].transform("max") / 60
+    curves = curves.assign(env_step=np.ceil(curves["env_step"] / width) * width)
+    keys = ["env_id", "flags", "seed", "env_step"]
+    return curves.groupby(keys, sort=False)[y].mean().reset_index()
+
+
+def plot(evals, path):
     """A panel per environment: mean ± one std over seeds."""
-    hue = "flags" if curves["flags"].nunique() > 1 else None
-    grid = sns.relplot(curves, x="env_step", y="return_mean", hue=hue, kind="line", errorbar="sd",
-                       col="env_id", col_wrap=min(4, curves["env_id"].nunique()), height=2.6,
-                       aspect=1.3, facet_kws={"sharex": False, "sharey": False})
+    hue = "flags" if evals["flags"].nunique() > 1 else None
+    grid = sns.relplot(in_bins(evals, "return_mean"), x="env_step", y="return_mean", hue=hue,
+                       col="env_id", col_wrap=min(4, evals["env_id"].nunique()), height=2.6,
+                       kind="line", errorbar="sd", aspect=1.3,
+                       facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_axis_labels("environment steps", "evaluation return (raw)")
     for axis in grid.axes.flat:
         axis.locator_params(axis="x", nbins=4)  # else the labels of small panels overlap
     grid.savefig(path, dpi=100)
 
 
-def returns(args):
-    totals = args.total_steps or [STEPS.get(x, DEFAULTS["total_steps"]) for x in args.env_id]
-    if len(totals) != len(args.env_id):
+def train_or_load(args):
+    """The runs of a study, as tables (see collect); prints and saves its results."""
+    env_ids, seeds = args.env_id or list(STEPS[args.script]), args.seed or SEEDS[args.script]
+    usual = DEFAULTS[args.script]["total_steps"]
+    totals = args.total_steps or [STEPS[args.script].get(x, usual) for x in env_ids]
+    if len(totals) != len(env_ids):
         sys.exit(f"error: argument --total-steps: got {totals}, takes one for each --env-id")
     folders = args.runs or [
-        run_script("--env-id", env_id, "--seed", *args.seed, "--total-steps", steps, *flags,
-                   "--out-dir", args.out_dir, *args.extra)
-        for env_id, steps in zip(args.env_id, totals) for flags in args.compare]
-    data, curves = collect(folders)
-    if data.duplicated(["env_id", "flags", "env_steps", "seed"]).any():
+        run_script(args.script, "--env-id", env_id, "--seed", *seeds, "--total-steps", steps,
+                   *flags, "--out-dir", args.out_dir, *args.extra)
+        for env_id, steps in zip(env_ids, totals) for flags in args.compare]
+    data, evals, episodes = collect(args.script, folders)
+    if data.duplicated(["env_id", "flags", "total_steps", "seed"]).any():
         sys.exit("error: argument --runs: a seed comes twice with the same flags")
     data.to_csv(args.out_dir / f"{args.study}.csv", index=False)
-    print_table(["environment", "steps", "mean ± std over seeds", "every seed", "minutes per seed",
-                 "steps/s"], summarise(data))
-    if args.plot:
-        plot(curves, args.out_dir / f"{args.study}.png")
+    print_table(["environment", "steps", "mean ± std over seeds", "every seed",
+                 "training, last 100 episodes", "minutes per seed", "steps/s"], summarise(data))
     print("", *folders, sep="\n")
+    return data, evals, episodes
+
+
+def returns(args):
+    data, evals, _ = train_or_load(args)
+    if args.plot:
+        plot(evals, args.out_dir / f"{args.study}.png")
     print_machine("; ".join(data["versions"].unique()))
+
+
+# --- Baselines ------------------------------------------------------------------------------------
+
+
+BASELINES = "none", "mean", "value"
+
+
+def halfway_agent(threshold):
+    """REINFORCE, stopped when its last 20 training returns average `threshold`; V is untrained."""
+    args = reinforce.parse_args(["--baseline", "mean", "--eval-every", "0"])
+    with tempfile.TemporaryDirectory() as name:
+        file = Path(name, "episodes.csv")
+
+        def is_set():
+            return file.exists() and pd.read_csv(file)["return"].tail(20).mean() >= threshold
+
+        reinforce.train(args, 1, Path(name), SimpleNamespace(is_set=is_set))
+        state = torch.load(Path(name, "checkpoint.pt"), weights_only=True)["agent"]
+    args.baseline = "value"
+    env = reinforce.CheckedEnv(gym.make(args.env_id), 0)
+    env.reset(seed=reinforce.make_seeds(1, stream=1000, count=1)[0])  # not an episode of training
+    agent = reinforce.make_agent(args, env)
+    agent.load_state_dict(state, strict=False)  # it has no V
+    return args, env, agent
+
+
+def sample_batch(args, env, policy):
+    """E episodes: states (B, D), samples (B, K), returns (B,)."""
+    episodes = [reinforce.sample_episode(env, policy)[:3] for _ in range(args.batch_episodes)]
+    batch = [(states, samples, reinforce.discounted_returns(rewards, 0.0, args.gamma))
+             for states, samples, rewards in episodes]
+    return [torch.cat(x) for x in zip(*batch)]
+
+
+def fit_value(value, states, returns, steps=300):
+    optimizer = torch.optim.Adam(value.parameters(), 1e-2)
+    for _ in range(steps):
+        optimizer.zero_grad()
+        reinforce.value_loss(value(states).squeeze(-1), returns).backward()
+        optimizer.step()
+
+
+def policy_gradients(agent, states, samples, returns):
+    """The estimates of one batch, (3, number of parameters); all three in units of a return."""
+    values, parameters = agent["value"](states).squeeze(-1), list(agent["policy"].parameters())
+    log_probs, rows = agent["policy"](states).log_prob(samples).sum(-1), []
+    for baseline in BASELINES:
+        advantages = reinforce.compute_advantages(returns, values, baseline)
+        loss = reinforce.policy_loss(log_probs, advantages)
+        loss = loss * returns.std() if baseline == "mean" else loss  # its A was divided by that
+        gradient = torch.autograd.grad(loss, parameters, retain_graph=True)
+        rows.append(torch.nn.utils.parameters_to_vector(gradient))
+    return torch.stack(rows)
+
+
+def measure_variance(num_batches, threshold):
+    """The gradient estimates of one policy, from many batches: a row for each baseline."""
+    args, env, agent = halfway_agent(threshold)
+    torch.manual_seed(1)
+    batches = [sample_batch(args, env, agent["policy"]) for _ in range(num_batches + 50)]
+    states, _, returns = (torch.cat(x) for x in zip(*batches[num_batches:]))  # V's own episodes
+    fit_value(agent["value"], states, returns)
+    batches = batches[:num_batches]
+    length = sum(len(x[0]) for x in batches) / num_batches / args.batch_episodes
+    print(f"\nOne policy, --baseline mean, seed 1, stopped when 20 training returns averaged "
+          f"{threshold:g}; its episodes have\n{length:.0f} steps. {num_batches} batches of "
+          f"{args.batch_episodes}; V was fitted to 50 others of the same policy.")
+    gradients = torch.stack([policy_gradients(agent, *batch) for batch in batches], 1).double()
+    means, variance = gradients.mean(1), gradients.var(1).sum(-1)  # the trace of the covariance
+    paired = gradients - gradients[0]
+    noise = (paired.var(1).sum(-1) / num_batches).sqrt()  # to expect of paired.mean(1) if E = 0
+    return pd.DataFrame({
+        "baseline": BASELINES, "variance": variance, "relative": variance / variance[0],
+        "length": means.norm(dim=1), "apart": paired.mean(1).norm(dim=1), "noise": noise})
+
+
+def baselines(args):
+    data, _, episodes = train_or_load(args)
+    table = measure_variance(args.batches, args.halfway)
+    table.to_csv(args.out_dir / "variance.csv", index=False)
+    print_table(["baseline", "total variance of the gradient", "relative to none",
+                 "length of the mean gradient", "its distance from none's", "by chance alone"],
+                [[name, *(f"{x:.3g}" for x in row)] for name, *row in table.to_numpy()])
+    episodes["baseline"] = episodes["flags"].str.extract(r"--baseline (\w+)", expand=False)
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    colours = dict(zip(BASELINES, sns.color_palette()))
+    curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("mean")), "return")
+    sns.lineplot(curves, x="env_step", y="return", hue="flags", palette=colours, ax=left,
+                 hue_order=BASELINES, errorbar=("se", 1.96))
+    left.legend(title="--baseline")
+    left.set(xlabel="environment steps", ylabel="training return (raw)",
+             title=f"{data['seed'].nunique()} seeds: mean ± 1.96 s.e.")
+    sns.barplot(table, x="baseline", y="relative", hue="baseline", palette=colours, ax=right)
+    for bars in right.containers:
+        right.bar_label(bars, fmt="%.3g")
+    right.set(xlabel="--baseline", ylabel="total variance, relative to none",
+              title=f"noise of the gradient: one policy, {args.batches} batches\n"
+                    "(of mean: times the std of G, which it divides by)")
+    if table["relative"].min() < 0.1:
+        right.set_yscale("log")
+    figure.savefig(args.out_dir / "baselines.png", dpi=100)
+    print_machine("; ".join(data["versions"].unique()))
+
+
+# --- Robustness -----------------------------------------------------------------------------------
+
+
+GRID = pd.MultiIndex.from_product(
+    [(-2.0, -4.0, -6.0, -8.0, -10.0, -11.9), (0.0, 5.0, 10.0, 15.0, 20.0)],
+    names=["gravity", "wind_power"])
+
+
+def play_grid(checkpoint, num_episodes):
+    """`num_episodes` deterministic episodes in each world of the grid: a row for each world.
+
+    All of them side by side, so that the network is called once for all that have not ended yet.
+    """
+    torch.set_num_threads(1)
+    saved = torch.load(checkpoint, weights_only=True)
+    args = argparse.Namespace(**saved["args"], device="cpu")
+    envs, obs, results = [], [], {}
+    for cell, (gravity, wind) in enumerate(GRID):
+        world = {"gravity": gravity, "enable_wind": wind > 0, "wind_power": wind}
+        for seed in a2c.make_seeds(0, 1000 + cell, num_episodes):  # the same for all agents
+            envs.append(a2c.CheckedEnv(gym.make(args.env_id, **world), cell))
+            obs.append(envs[-1].reset(seed=seed)[0])
+    agent = a2c.make_agent(args, envs[0])
+    agent.load_state_dict(saved["agent"])
+    active = range(len(envs))
+    while active:
+        _, actions = agent["policy"].act(np.stack([obs[i] for i in active]), deterministic=True)
+        for i, action in zip(active, actions):
+            obs[i], _, _, _, info = envs[i].step(action)
+            if info:  # of the last step only
+                results[i], _ = info["episode"]
+        active = [i for i in active if i not in results]
+    values = [results[i] for i in range(len(envs))]
+    cells = np.reshape(values, (len(GRID), num_episodes))
+    return GRID.to_frame(index=False).assign(
+        checkpoint=str(checkpoint), trained="--randomize" if args.randomize else "default",
+        seed=args.seed[0], return_mean=cells.mean(1), return_std=cells.std(1))
+
+
+def robustness(args):
+    """Trained agents in worlds that differ from the one they were trained in."""
+    for path in args.checkpoints:
+        if torch.load(path, weights_only=True)["script"] != a2c.SCRIPT:
+            sys.exit(f"error: {path} is not a checkpoint of {a2c.SCRIPT}.py")
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
+        counts = [args.episodes] * len(args.checkpoints)
+        data = pd.concat(pool.map(play_grid, args.checkpoints, counts), ignore_index=True)
+    data.to_csv(args.out_dir / "robustness.csv", index=False)
+    maps = {trained: x.pivot_table(index="gravity", columns="wind_power", values="return_mean")
+            for trained, x in data.groupby("trained", sort=False)}  # means over agents
+    for trained, cells in maps.items():
+        print_table([f"trained: {trained}, gravity", *(f"wind {x:g}" for x in cells)],
+                    [[row, *map(round, values)] for row, values in zip(cells.index, cells.values)])
+    outer = [data[x].isin((data[x].min(), data[x].max())) for x in ("gravity", "wind_power")]
+    data["outer"] = data["return_mean"].where(outer[0] | outer[1])
+    means = data.groupby(["trained", "checkpoint", "seed"], sort=False)[["return_mean", "outer"]]
+    rows = []
+    for trained, agents in means.mean().groupby("trained", sort=False):
+        rows += [[trained, *(f"{agents[x].mean():.1f} ± {agents[x].std():.1f}" for x in agents),
+                  ", ".join(map(str, agents.index.get_level_values("seed"))),
+                  *(", ".join(f"{y:.1f}" for y in agents[x]) for x in agents)]]
+    print_table(["trained", "all cells, mean ± std over agents", "outer cells", "seeds",
+                 "all cells, every agent", "outer cells, every agent"], rows)
+    draw_maps(maps, args, data.groupby("trained")["checkpoint"].nunique())
+    print_machine(json.dumps(a2c.versions()))
+
+
+def draw_maps(maps, args, agents):
+    figure = Figure(figsize=(5.5 * len(maps) + 1, 4.2), layout="constrained")
+    axes = figure.subplots(1, len(maps), squeeze=False)[0]
+    scale = {"vmin": min(x.min().min() for x in maps.values()),
+             "vmax": max(x.max().max() for x in maps.values())}
+    for axis, (trained, cells) in zip(axes, maps.items()):
+        sns.heatmap(cells, annot=True, fmt=".0f", cmap="viridis", ax=axis, **scale,
+                    cbar=axis is axes[-1], cbar_kws={"label": "mean return (raw)"})
+        axis.set(title=f"trained: {trained} ({agents[trained]} agents)",
+                 xlabel="wind power (0: no wind)", ylabel="gravity")
+        axis.invert_yaxis()
+    figure.suptitle(f"{args.episodes} deterministic episodes of each agent in each cell")
+    figure.savefig(args.out_dir / "robustness.png", dpi=100)
 
 
 # --- main -----------------------------------------------------------------------------------------
@@ -209,28 +537,51 @@ def returns(args):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
     studies = parser.add_subparsers(dest="study", required=True)
-    squash = {"env_id": ["HalfCheetah-v5", "Hopper-v5"], "plot": True,
-              "compare": [["--squash", "tanh"], ["--squash", "clip"]]}
-    for name, text, defaults in (
-        ("speed", "ours, that of stable-baselines3 and of random actions", {"function": speed}),
-        ("returns", "on the table of environments", {"env_id": list(STEPS), "compare": [[]]}),
-        ("squash", "returns of --squash tanh against clip", squash),
-    ):
+
+    def add_study(name, function, text, **defaults):
         study = studies.add_parser(name, help=text, description=text)
         add = study.add_argument
-        if name == "speed":
-            add("--env-id", default="HalfCheetah-v5")
-            add("--steps", type=int, default=100_000, help="at least, in every measurement")
-            add("--pairs", type=int, default=5, help="measurements of each, in turns")
-        else:
-            add("--env-id", nargs="+")
-            add("--seed", type=int, nargs="+", default=[1, 2, 3, 4, 5])
-            add("--total-steps", type=int, nargs="+", help="one for each --env-id")
-            add("--runs", type=Path, nargs="+", help="finished run folders: show these, train none")
-            add("--plot", action="store_true", help="draw learning curves")
-            add("--extra", nargs=argparse.REMAINDER, default=[], help="all after it: to the script")
         add("--out-dir", type=Path, default="runs/benchmark", help="for tables, pictures and runs")
-        study.set_defaults(**{"function": returns, **defaults})
+        if name in ("speed", "returns"):
+            add("--script", choices=SCRIPTS, default=ppo.SCRIPT)
+        study.set_defaults(function=function, **defaults)
+        return add
+
+    add = add_study("speed", speed, "ours, that of stable-baselines3 and of random actions")
+    add("--env-id", help="default: HalfCheetah-v5 for PPO, else the script's own")
+    add("--steps", type=int, default=100_000, help="at least, in every measurement")
+    add("--pairs", type=int, default=5, help="measurements of each, in turns")
+
+    tasks = {"script": ppo.SCRIPT, "env_id": ["HalfCheetah-v5", "Hopper-v5"]}
+    squash = [["--squash", x] for x in ("tanh", "clip")]
+    baseline = [["--baseline", x] for x in BASELINES]
+    for add in (
+        add_study("returns", returns, "after training; for PPO on its table of environments",
+                  compare=[[]]),
+        add_study("squash", returns, "PPO: returns of --squash tanh against clip", plot=True,
+                  compare=squash, **tasks),
+        add_study("baselines", baselines, "REINFORCE: returns and noise of each --baseline",
+                  script=reinforce.SCRIPT, compare=baseline),
+    ):
+        add("--env-id", nargs="+")
+        add("--seed", type=int, nargs="+", help="default: 1 2 3 4 5, for REINFORCE 1 2 3 5 8")
+        add("--total-steps", type=int, nargs="+", help="one for each --env-id")
+        add("--runs", type=Path, nargs="+", help="finished run folders: show these, train none")
+        add("--plot", action="store_true", help="draw learning curves")
+        add("--extra", nargs=argparse.REMAINDER, default=[], help="all after it: to the script")
+    # of baselines, the last of them
+    add("--batches", type=int, default=500, help="of which the noise is measured")
+    add("--halfway", type=float, default=100, help="return of the policy that it is measured for")
+
+    add = add_study("scaling", scaling, "A2C: speed against the number of environments")
+    add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="first: ψ = 1")
+    add("--steps", type=int, default=30_720, help="at least, in every measurement")
+    add("--repeats", type=int, default=3, help="measurements of each, in turns; the median counts")
+
+    add = add_study("robustness", robustness, "A2C: trained agents in other gravity and wind")
+    add("checkpoints", type=Path, nargs="+", metavar="CHECKPOINT")
+    add("--episodes", type=int, default=20, help="in every cell of the grid")
+
     args = parser.parse_args()
     args.out_dir.mkdir(parents=True, exist_ok=True)
     args.function(args)

@@ -9,7 +9,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-from gymnasium.spaces import Box, Dict
+from gymnasium.spaces import Box, Dict, Discrete
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = Path(__file__).resolve().parent
@@ -97,18 +97,60 @@ class Target(World):
         return -float(np.square(action - TARGET).sum())
 
 
+class Echo(World):
+    """Shows (the action that it got last, steps since its start)."""
+
+    def observe(self):
+        return np.float32([self.action if self.steps else 0, self.steps])
+
+    def reward(self, action):
+        self.action = action
+        return 1.0
+
+
+class Timeless(World):
+    """Does not show when its episodes end."""
+
+    def observe(self):
+        return np.float32([self.episode, 0])
+
+
+class Sign(World):
+    """One step; the best action is 1 where the first number shown is negative, else 3."""
+
+    def reward(self, action):
+        return float(action == (1 if self.episode < 0 else 3))
+
+
+class Dies(World):
+    """Takes its process along, sooner or later."""
+
+    def reward(self, action):
+        if self.total > 40 and self.episode > 0.5:
+            os._exit(1)
+        return 1.0
+
+
 def register(name, world=World, limit=None, **kwargs):
     gym.register(f"{name}-v0", world, max_episode_steps=limit, kwargs=kwargs)
 
 
 if "ThreeSteps-v0" not in gym.registry:
-    register("ThreeSteps")
-    register("Forever", limit=8, length=None)  # never ends, but for the time limit
-    register("BothEnds", limit=3)  # terminated and truncated in the same step
+    for prefix, actions in ("", ACTIONS), ("Discrete", Discrete(3, start=1)):
+        register(f"{prefix}ThreeSteps", actions=actions)
+        # never ends, but for the time limit
+        register(f"{prefix}Forever", limit=8, length=None, actions=actions)
+        # terminated and truncated in the same step
+        register(f"{prefix}BothEnds", limit=3, actions=actions)
+        register(f"{prefix}FailsLate", fault="raise", fault_at=40, actions=actions)
+        register(f"{prefix}FailsEarly", fault="raise", fault_at=2, actions=actions)
+        register(f"{prefix}TurnsNaN", fault="nan", fault_at=40, actions=actions)
     register("Target", Target, length=1)
-    register("FailsLate", fault="raise", fault_at=40)
-    register("FailsEarly", fault="raise", fault_at=2)
-    register("TurnsNaN", fault="nan", fault_at=40)
     register("DictObs", observations=Dict(position=Box(-1, 1, (2,))))
     register("Image", observations=Box(0, 255, (8, 8, 3), np.uint8))
     register("Unbounded", actions=Box(-np.inf, np.inf, (2,)))
+    register("ThreeActions", actions=Box(-1, 1, (3,)))
+    register("Echo", Echo, actions=Discrete(3, start=1))
+    register("Sign", Sign, length=1, actions=Discrete(3, start=1))
+    register("Dies", Dies, actions=Discrete(3, start=1))
+    register("Timeless", Timeless, limit=8, length=None, actions=Discrete(3, start=1))
