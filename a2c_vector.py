@@ -365,7 +365,8 @@ def train(args, seed, folder, stop, bar_position=0):
                    "steps_per_second": T * N / duration}
         anneal.step()  # the end of step 5
 
-        last = update + 1 == num_updates or stop.is_set()
+        stopped = stop.is_set()
+        last = stopped or update + 1 == num_updates
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
@@ -377,7 +378,7 @@ def train(args, seed, folder, stop, bar_position=0):
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
-        if stop.is_set():
+        if stopped:
             break
     envs.close()
     result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,

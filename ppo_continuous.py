@@ -378,7 +378,8 @@ def train(args, seed, folder, stop, bar_position=0):
         metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
                    "steps_per_second": T * N / duration}
 
-        last = update + 1 == num_updates or stop.is_set()
+        stopped = stop.is_set()
+        last = stopped or update + 1 == num_updates
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
@@ -393,7 +394,7 @@ def train(args, seed, folder, stop, bar_position=0):
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
-        if stop.is_set():
+        if stopped:
             break
     result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
               "train_seconds": seconds, "steps_per_second": env_step / seconds,

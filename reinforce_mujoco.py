@@ -158,11 +158,11 @@ def make_agent(args, env):
 
 def discounted_returns(rewards, last_return, gamma):
     """G_t = r_t + γ·G_{t+1} with G_T = `last_return`; (T,) each (step 2)."""
-    returns = torch.empty_like(rewards)
-    for t in reversed(range(len(rewards))):
-        last_return = rewards[t] + gamma * last_return
-        returns[t] = last_return
-    return returns
+    returns = []
+    for reward in rewards.flip(0).tolist():  # from the last step to the first
+        last_return = reward + gamma * last_return
+        returns.append(last_return)
+    return torch.tensor(returns).flip(0)
 
 
 def compute_advantages(returns, values, baseline):
@@ -170,7 +170,7 @@ def compute_advantages(returns, values, baseline):
     if baseline == "none":
         return returns
     if baseline == "mean":
-        return (returns - returns.mean()) / (returns.std() + 1e-8)
+        return (returns - returns.mean()) / (returns.std(correction=0) + 1e-8)
     return returns - values.detach()
 
 
@@ -214,17 +214,17 @@ def train(args, seed, folder, stop, bar_position=0):
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # once: each episode starts differently
     agent = make_agent(args, env)
     optimizer = torch.optim.Adam(agent.parameters(), fused=True)
-    env_step, update, seconds, evaluation, recent = 0, 0, 0.0, {}, []
+    env_step, update, seconds, evaluation, recent, ended = 0, 0, 0.0, {}, [], False
     clock = time.perf_counter()
     bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", position=bar_position)
-    while env_step < args.total_steps and not stop.is_set():
+    while not ended:
         learning_rate = args.learning_rate * (1 - env_step / args.total_steps)  # step 5
         optimizer.param_groups[0]["lr"] = learning_rate
         batch, episodes = [], []
         for _ in range(args.batch_episodes):  # steps 1 and 2
             states, samples, rewards, last, terminated, row = sample_episode(env, agent["policy"])
             cut_off = args.baseline == "value" and not terminated
-            last_return = agent["value"](last).item() if cut_off else 0.0
+            last_return = agent["value"](last.to(args.device)).item() if cut_off else 0.0
             batch.append((states, samples, discounted_returns(rewards, last_return, args.gamma)))
             env_step += len(rewards)
             episodes.append((env_step, *row))
@@ -236,22 +236,21 @@ def train(args, seed, folder, stop, bar_position=0):
         if args.baseline == "value":
             losses["value_loss"] = value_loss(values, returns)
         optimizer.zero_grad()
-        sum(losses.values()).backward()  # step 4
-        optimizer.step()
+        sum(losses.values()).backward()
+        grad_norm = nn.utils.get_total_norm([p.grad for p in agent["policy"].parameters()])
+        if not grad_norm.isfinite():
+            sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
+        optimizer.step()  # step 4
         update += 1
         duration = time.perf_counter() - clock
         seconds += duration
-        gradients = [p.grad for p in agent["policy"].parameters()]
-        metrics = {"env_step": env_step, **{name: x.item() for name, x in losses.items()},
-                   "entropy": distribution.entropy().sum(-1).mean().item(),
-                   "policy_std": distribution.stddev.mean().item(),
-                   "grad_norm": nn.utils.get_total_norm(gradients).item(),
+        diagnostics = {**losses, "entropy": distribution.entropy().sum(-1).mean(),
+                       "grad_norm": grad_norm, "policy_std": distribution.stddev.mean()}
+        metrics = {"env_step": env_step, **{name: x.item() for name, x in diagnostics.items()},
                    "learning_rate": learning_rate, "steps_per_second": len(returns) / duration}
-        if not math.isfinite(metrics["grad_norm"]):
-            sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
 
-        last = env_step >= args.total_steps or stop.is_set()
-        if last or args.eval_every and update % args.eval_every == 0:
+        ended = env_step >= args.total_steps or stop.is_set()
+        if ended or args.eval_every and update % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
             append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])

@@ -176,17 +176,21 @@ def speed(args):
 # --- Scaling --------------------------------------------------------------------------------------
 
 
+def both_speeds(*task):
+    return random_speed(*task), our_speed(*task)
+
+
 def scaling(args):
     """Speed of stepping and of training against the number of environments, sync and async."""
-    measures, rows = {"stepping": random_speed, "training": our_speed}, []
+    rows = []
     for seed in range(1, args.repeats + 1):  # in turns: a busy machine slows all alike
         for count in args.num_envs:
             for kind in ("sync", "async"):
                 flags = ["--num-envs", str(count), "--vectorization", kind, "--rollout-steps",
                          str(max(1, 512 // count)), "--total-steps", str(args.steps)]
-                rows += [{"measure": name, "vectorization": kind, "environments": count,
-                          "speed": fresh(function, a2c.SCRIPT, flags, seed)}
-                         for name, function in measures.items()]
+                speeds = fresh(both_speeds, a2c.SCRIPT, flags, seed)
+                rows += [{"measure": name, "vectorization": kind, "environments": count, "speed": x}
+                         for name, x in zip(("stepping", "training"), speeds)]
     keys = ["measure", "vectorization", "environments"]
     data = pd.DataFrame(rows).groupby(keys, sort=False)["speed"].median().reset_index()
     base = data[data["vectorization"].eq("sync") & data["environments"].eq(args.num_envs[0])]
@@ -201,10 +205,11 @@ def scaling(args):
     shown = shown.round(2).astype(object).where(data.notna(), "–")
     print_table([*keys, "steps/s", "speed-up ψ", "p", "Karp–Flatt e", "limit 1/e"],
                 shown.to_numpy().tolist())
-    print(f"\nψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1 and e "
-          "is not defined: its speed-up comes\nfrom sharing the calls of the network and of the "
-          "vector, not from parallel processors. Async shares them, too;\nwhere that makes ψ larger "
-          "than p, e is negative and sets no limit.\n")
+    print(f"""
+ψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1, so e is not defined:
+its speed-up comes from sharing the calls of the network and of the vector, not from parallel
+processors. Async shares them, too; where that makes ψ larger than p, e < 0 and sets no limit.
+""")
     print(conclude(data))
     draw_scaling(data, args.out_dir / "scaling.png")
     print_machine(json.dumps(a2c.versions()))
@@ -214,27 +219,26 @@ def conclude(data):
     """Two sentences from the numbers: what is fastest, and what bounds it."""
     rows = data.set_index(["measure", "vectorization", "environments"])
     training, stepping = rows.loc["training"], rows.loc["stepping"]
-    best, first = training["speed"].idxmax(), data["environments"].iloc[0]
-    other = training.drop(best[0], level=0)["speed"]
-    share = training["speed"][best] / stepping["speed"][best]
-    text = (f"Training is fastest with {best[0]} at {best[1]} environments: "
-            f"{training['speed'][best]:.0f} steps per second, {training['psi'][best]:.1f} times sync "
-            f"at {first};\n{other.idxmax()[0]} reaches {other.max():.0f} at most, at "
-            f"{other.idxmax()[1]}.\nThere stepping alone takes {share:.0%} of the time, so that "
-            f"learning at no cost could not make it more than {1 / share:.1f} times as fast")
+    first, best = data["environments"].iloc[0], training["speed"].idxmax()
+    top, other = training.loc[best], training["speed"].drop(best[0], level=0)
+    share = top["speed"] / stepping["speed"][best]
+    text = (
+        f"Training is fastest with {best[0]} at {best[1]} environments: {top['speed']:.0f} steps per "
+        f"second, {top['psi']:.1f} times sync\nat {first}; {other.idxmax()[0]} reaches "
+        f"{other.max():.0f} at most, at {other.idxmax()[1]}.\nThere stepping alone takes {share:.0%} "
+        f"of the time, so that learning at no cost would be {1 / share:.1f} times as fast")
     parallel = stepping[stepping["p"] > 1]
     if parallel.empty:
-        return text + "."
+        return f"{text}."
     kind, count = parallel["psi"].idxmax()
-    top = parallel.loc[kind, count]
-    text += (f";\nand {count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as fast "
-             f"as sync at {first} (sync at {count}: {stepping['psi']['sync', count]:.2f} times), e = "
-             f"{top['e']:.2f}, ")
-    if top["e"] >= 1:
-        return text + "so that sending results costs more than the processes save."
+    top, sync = parallel.loc[kind, count], stepping["psi"]["sync", count]
+    bound = "their serial part sets no limit here"
     if top["e"] > 0:
-        return text + f"so that no number of cores would make that more than {top['limit']:.1f} times."
-    return text + "so that their serial part sets no limit here."
+        bound = f"any number of cores could make that {top['limit']:.1f} at most"
+    if top["psi"] <= sync:
+        bound = "sending the results costs more than the processes save"
+    return (f"{text};\n{count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as fast "
+            f"as sync at {first} (sync at {count}: {sync:.2f}), e = {top['e']:.2f}: {bound}.")
 
 
 def draw_scaling(data, path):

@@ -142,7 +142,7 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     if baseline == "value":
         values = agent["value"](states)[:, 0]
         advantages = returns - values.detach()
-        expected["value"] = ((values - returns) ** 2).sum() / len(returns)
+        expected["value"] = ((values - returns) ** 2).sum() / (2 * len(returns))
     expected["policy"] = -(log_density(agent["policy"], states, samples) * advantages).sum()
     expected["policy"] /= len(returns)
     for name, loss in expected.items():
