@@ -295,7 +295,7 @@ def policy_loss(log_probs, advantages):
 
 
 def value_loss(values, targets):
-    """½·E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    """½·E[(V − R)²]; (B,) each. The targets R are data: no gradient goes through them."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -464,7 +464,7 @@ PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
 
 
 def plot(folder):
-    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
+    """learning_curve.png: mean over seeds ± 1.96 standard errors, and a thin line for each seed."""
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
              "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}

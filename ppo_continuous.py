@@ -463,7 +463,7 @@ PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
 
 
 def plot(folder):
-    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
+    """learning_curve.png: mean over seeds ± 1.96 standard errors, and a thin line for each seed."""
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
              "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}

@@ -16,34 +16,41 @@
 Learns:   RESULT
 Command:  python reinforce_mujoco.py --seed 1 2 3 5 8
 
-The algorithm. In a state s the policy π draws an action u from a Gaussian; the environment takes u,
-clipped to its bounds, and returns a reward r and the next state, until the episode ends at T.
-  1. Play E episodes with π:  u_t ~ N(μ(s_t), σ(s_t)²)
+The task: push a cart so that the pole on it stays upright; reward r = 1 for each step it does, and
+after 1000 steps time is up. The algorithm: in a state s the policy π draws an action u from a
+Gaussian, and the environment returns a reward r and the next state, until the episode ends at T.
+  1. Play several episodes with π:  u_t ~ N(μ(s_t), σ(s_t)²)
   2. G_t = r_t + γ·G_{t+1},  G_T = 0   the discounted rewards from t on: what u_t can have caused
   3. A_t = G_t − b_t   was it better or worse than the baseline?  --baseline says what b is:
        none   b = 0
-       mean   b = the mean of G over all steps of 1, and A is divided by their standard deviation
+       mean   b = the mean of G over all B steps of 1, and A is divided by their standard deviation
        value  b_t = V(s_t), a second network that learns to predict G_t
   4. One step of Adam on −E[A·log π(u|s)] and, if there is a V, on ½·E[(V(s) − G)²]
-  5. Lower the learning rate, go to 1.
+  5. Lower the learning rate, throw the episodes away (the new π would play others), go to 1.
+E[·] is the mean over the B steps; ∇ below is with respect to the weights of π.
 
-Why it learns: the gradient of the expected return is E[G·∇log π(u|s)] ([1]; [2] section 13.3). It
-says: make each action more likely in proportion to the return that followed it. If all returns are
-positive, as here, every action that was tried becomes more likely, and only the small differences
-between large numbers teach anything. A baseline takes away what they have in common. On average it
-changes nothing, for E[b·∇log π(u|s)] = b·∇E[1] = 0 if b does not depend on u; but the noise of the
-estimate falls, and with it the number of episodes that are needed. (In `mean`, b does depend on u a
-little, as one of the many steps of the batch.) `tests/benchmark.py baselines` measures both.
+Why it learns: E[G·∇log π(u|s)] is the direction in which the expected return grows ([1]; [2] section
+13.3; up to a constant and the weights γ^t that everybody leaves out). It says: push each action's
+probability up in proportion to the return that followed. If no return is negative, as here, every
+action that was tried is pushed up, and only differences between large numbers teach anything. A
+baseline takes away what they have in common. On average that changes nothing ([2] section 13.4):
+E[b·∇log π(u|s)] = b·∫π·(∇π/π)du = b·∇∫π du = b·∇1 = 0 if b does not depend on u. What a good baseline
+lowers is the noise of the estimate, and so the number of episodes that are needed. The b of `mean`
+does depend on u a little, since u_t has a part in some of the returns that are averaged.
+`tests/benchmark.py baselines` measures the noise and the learning curves.
 
 What a time limit costs: an episode that is cut off looks as if no reward would have come after it,
-so the last 1/(1−γ) = 50 steps or so look worse than they are. REINFORCE cannot know better; with
---baseline value it can, and G_T = V(s_T) at a time limit ([3]).
+so its last 1/(1−γ) steps or so (50 with the default γ) look worse than they are. REINFORCE cannot
+know better; with --baseline value it can, and G_T = V(s_T) at a time limit ([3]).
 
-Left out on purpose: several environments and a critic that shortens the wait for the rewards, which
-a2c_vector.py adds; several gradient steps on the same data, which ppo_continuous.py adds.
+Left out on purpose: several environments at a time, and a critic that foresees rewards, so that no
+episode has to be waited for (a2c_vector.py adds both); several gradient steps on the same data
+(ppo_continuous.py adds them).
 
-Shapes:      T steps of an episode, B steps of E episodes, D dimensions of a state, K of an action.
-Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+Shapes:      T steps of an episode, B steps of all episodes of an update, D dimensions of a state, K
+             of an action.
+Units:       returns that are shown or saved are sums of raw rewards, not discounted; environment
+             steps; seconds.
 References:  [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
              Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
              [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
@@ -118,7 +125,10 @@ def make_seeds(seed, stream, count):
 
 
 class Policy(nn.Module):
-    """π(u|s) = N(μ(s), σ(s)²) over actions u (…, K); the environment gets u within its bounds."""
+    """π(u|s) = N(μ(s), σ(s)²) over u (…, K). The environment gets a, which is u within its bounds.
+
+    To the algorithm the clipping is a part of the environment: π is the density of u, not of a.
+    """
 
     def __init__(self, env):
         super().__init__()
@@ -158,10 +168,10 @@ def make_agent(args, env):
 
 def discounted_returns(rewards, last_return, gamma):
     """G_t = r_t + γ·G_{t+1} with G_T = `last_return`; (T,) each (step 2)."""
-    returns = []
+    G, returns = last_return, []
     for reward in rewards.flip(0).tolist():  # from the last step to the first
-        last_return = reward + gamma * last_return
-        returns.append(last_return)
+        G = reward + gamma * G
+        returns.append(G)
     return torch.tensor(returns).flip(0)
 
 
@@ -178,12 +188,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−E[A·log π(u|s)], whose gradient is that of the expected return, downhill; (B,) each."""
+    """−E[A·log π(u|s)]; (B,) each. Its gradient is what counts; that it falls means nothing."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·E[(V − R)²]; (B,) each. R is data: no gradient goes through it."""
+    """½·E[(V − R)²]; (B,) each. The targets R are data: no gradient goes through them."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -223,15 +233,15 @@ def train(args, seed, folder, stop, bar_position=0):
         batch, episodes = [], []
         for _ in range(args.batch_episodes):  # steps 1 and 2
             states, samples, rewards, last, terminated, row = sample_episode(env, agent["policy"])
-            cut_off = args.baseline == "value" and not terminated
-            last_return = agent["value"](last.to(args.device)).item() if cut_off else 0.0
+            bootstrap = args.baseline == "value" and not terminated
+            last_return = agent["value"](last.to(args.device)).item() if bootstrap else 0.0
             batch.append((states, samples, discounted_returns(rewards, last_return, args.gamma)))
             env_step += len(rewards)
             episodes.append((env_step, *row))
         states, samples, returns = (torch.cat(x).to(args.device) for x in zip(*batch))
         values = agent["value"](states).squeeze(-1) if args.baseline == "value" else None
         advantages = compute_advantages(returns, values, args.baseline)  # step 3
-        distribution = agent["policy"](states)
+        distribution = agent["policy"](states)  # π again, now with a graph for the gradient
         losses = {"policy_loss": policy_loss(distribution.log_prob(samples).sum(-1), advantages)}
         if args.baseline == "value":
             losses["value_loss"] = value_loss(values, returns)
@@ -327,7 +337,7 @@ PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
 
 
 def plot(folder):
-    """learning_curve.png: mean over seeds, its 95% interval (± 1.96 s.e.), thin lines for seeds."""
+    """learning_curve.png: mean over seeds ± 1.96 standard errors, and a thin line for each seed."""
     units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
              "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
              "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}
@@ -445,9 +455,10 @@ def parse_args(argv=None):
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
     add("--env-id", default="InvertedPendulum-v5", help="also my_module:MyEnv-v0")
-    add("--total-steps", type=count, default=200_000, help="rounded up to whole episodes")
-    add("--batch-episodes", type=count, default=4, help="E, episodes of a gradient step")
-    add("--baseline", choices=("none", "mean", "value"), default="mean", help="b, see above")
+    add("--total-steps", type=count, default=200_000, help="rounded up to a whole update")
+    add("--batch-episodes", type=count, default=4, help="episodes of a gradient step")
+    add("--baseline", choices=("none", "mean", "value"), default="mean",
+        help="b, what a return is compared with: 0, the mean of all, V(s)")
     add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
     add("--gamma", type=share, default=0.98, help="γ, discount of rewards")
     add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")

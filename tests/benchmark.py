@@ -206,7 +206,7 @@ def scaling(args):
     print_table([*keys, "steps/s", "speed-up ψ", "p", "Karp–Flatt e", "limit 1/e"],
                 shown.to_numpy().tolist())
     print(f"""
-ψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1, so e is not defined:
+ψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1, so e is undefined:
 its speed-up comes from sharing the calls of the network and of the vector, not from parallel
 processors. Async shares them, too; where that makes ψ larger than p, e < 0 and sets no limit.
 """)
@@ -223,10 +223,10 @@ def conclude(data):
     top, other = training.loc[best], training["speed"].drop(best[0], level=0)
     share = top["speed"] / stepping["speed"][best]
     text = (
-        f"Training is fastest with {best[0]} at {best[1]} environments: {top['speed']:.0f} steps per "
-        f"second, {top['psi']:.1f} times sync\nat {first}; {other.idxmax()[0]} reaches "
-        f"{other.max():.0f} at most, at {other.idxmax()[1]}.\nThere stepping alone takes {share:.0%} "
-        f"of the time, so that learning at no cost would be {1 / share:.1f} times as fast")
+        f"Training is fastest with {best[0]} at {best[1]} environments: {top['speed']:.0f} steps "
+        f"per second, {top['psi']:.1f} times sync at {first};\n{other.idxmax()[0]} reaches "
+        f"{other.max():.0f} at most, at {other.idxmax()[1]}.\nThere stepping alone takes "
+        f"{share:.0%} of the time: learning at no cost would make it {1 / share:.1f} times as fast")
     parallel = stepping[stepping["p"] > 1]
     if parallel.empty:
         return f"{text}."
@@ -236,24 +236,25 @@ def conclude(data):
     if top["e"] > 0:
         bound = f"any number of cores could make that {top['limit']:.1f} at most"
     if top["psi"] <= sync:
-        bound = "sending the results costs more than the processes save"
-    return (f"{text};\n{count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as fast "
-            f"as sync at {first} (sync at {count}: {sync:.2f}), e = {top['e']:.2f}: {bound}.")
+        bound = "sending the\nresults costs more than the processes save"
+    return (f"{text};\n{count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as "
+            f"fast as sync at {first} (sync at {count}: {sync:.2f}), e = {top['e']:.2f}: {bound}.")
 
 
 def draw_scaling(data, path):
-    figure = Figure(figsize=(13, 4), layout="constrained")
-    titles = {"speed": "environment steps per second", "psi": "speed-up ψ over one, sync",
+    figure = Figure(figsize=(14, 4), layout="constrained")
+    first = data["environments"].iloc[0]
+    titles = {"speed": "environment steps per second", "psi": f"speed-up ψ over sync at {first}",
               "e": "serial fraction e (async only: sync has p = 1)"}
     for axis, (y, title) in zip(figure.subplots(1, 3), titles.items()):
         sns.lineplot(data, x="environments", y=y, hue="vectorization", style="measure", ax=axis,
-                     markers=True, legend=y == "speed")
+                     markers=True, legend=y == "e")
         axis.set_xscale("log", base=2)
         ticks = sorted(data["environments"].unique())
         axis.set_xticks(ticks, ticks)
         axis.set(ylabel=title, xlabel="environments", xlim=(ticks[0] / 1.2, ticks[-1] * 1.2))
-        if y == "e":
-            axis.axhline(0, color="grey", linewidth=0.5)
+    sns.move_legend(axis, "upper left", bbox_to_anchor=(1, 1))
+    axis.axhline(0, color="grey", linewidth=0.5)
     figure.savefig(path, dpi=100)
 
 
@@ -375,7 +376,7 @@ def halfway_agent(threshold):
 
 
 def sample_batch(args, env, policy):
-    """E episodes: states (B, D), samples (B, K), returns (B,)."""
+    """E episodes: states (B, D), samples (B, K), returns (B,), which end at time limits for all."""
     episodes = [reinforce.sample_episode(env, policy)[:3] for _ in range(args.batch_episodes)]
     batch = [(states, samples, reinforce.discounted_returns(rewards, 0.0, args.gamma))
              for states, samples, rewards in episodes]
@@ -397,7 +398,8 @@ def policy_gradients(agent, states, samples, returns):
     for baseline in BASELINES:
         advantages = reinforce.compute_advantages(returns, values, baseline)
         loss = reinforce.policy_loss(log_probs, advantages)
-        loss = loss * returns.std() if baseline == "mean" else loss  # its A was divided by that
+        if baseline == "mean":
+            loss = loss * returns.std(correction=0)  # its A was divided by that
         gradient = torch.autograd.grad(loss, parameters, retain_graph=True)
         rows.append(torch.nn.utils.parameters_to_vector(gradient))
     return torch.stack(rows)
@@ -445,10 +447,8 @@ def baselines(args):
     for bars in right.containers:
         right.bar_label(bars, fmt="%.3g")
     right.set(xlabel="--baseline", ylabel="total variance, relative to none",
-              title=f"noise of the gradient: one policy, {args.batches} batches\n"
-                    "(of mean: times the std of G, which it divides by)")
-    if table["relative"].min() < 0.1:
-        right.set_yscale("log")
+              title=f"noise of the gradient, one policy, {args.batches} batches\n"
+                    "(mean: times the std it divides by)")
     figure.savefig(args.out_dir / "baselines.png", dpi=100)
     print_machine("; ".join(data["versions"].unique()))
 
@@ -530,7 +530,7 @@ def draw_maps(maps, args, agents):
                     cbar=axis is axes[-1], cbar_kws={"label": "mean return (raw)"})
         axis.set(title=f"trained: {trained} ({agents[trained]} agents)",
                  xlabel="wind power (0: no wind)", ylabel="gravity")
-        axis.invert_yaxis()
+        axis.invert_yaxis()  # as in the table: the heaviest world on top
     figure.suptitle(f"{args.episodes} deterministic episodes of each agent in each cell")
     figure.savefig(args.out_dir / "robustness.png", dpi=100)
 
@@ -579,7 +579,7 @@ def main():
 
     add = add_study("scaling", scaling, "A2C: speed against the number of environments")
     add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="first: ψ = 1")
-    add("--steps", type=int, default=30_720, help="at least, in every measurement")
+    add("--steps", type=int, default=20_480, help="at least, in every measurement")
     add("--repeats", type=int, default=3, help="measurements of each, in turns; the median counts")
 
     add = add_study("robustness", robustness, "A2C: trained agents in other gravity and wind")
