@@ -446,6 +446,7 @@ def baselines(args):
     sns.barplot(table, x="baseline", y="relative", hue="baseline", palette=colours, ax=right)
     for bars in right.containers:
         right.bar_label(bars, fmt="%.3g")
+    right.margins(y=0.1)
     right.set(xlabel="--baseline", ylabel="total variance, relative to none",
               title=f"noise of the gradient, one policy, {args.batches} batches\n"
                     "(mean: times the std it divides by)")
