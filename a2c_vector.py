@@ -18,29 +18,31 @@ Command:  python a2c_vector.py --seed 1 2 3 4 5
 
 The algorithm. In a state s the actor π draws one of K actions a, and the environment returns a
 reward r; the critic V(s) predicts the discounted sum of rewards to come.
-  1. Play T steps in N environments with π:  a_t ~ π(·|s_t).  Multiply r by a constant.
-  2. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
-  3. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
-  4. One step of Adam: π on −E[A·log π(a|s)] − c_H·H(π), A standardised; V on ½·E[(V(s) − R)²]
-  5. Update the mean and variance that normalise s, lower the learning rates, go to 1.
+  1. Play T steps in N environments with π:  a_t ~ π(·|s_t)
+  2. Multiply r by a constant, so that V has to predict numbers of a moderate size.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
+  5. One step of Adam: π on −E[A·log π(a|s)] − c_H·H(π), A standardised; V on ½·E[(V(s) − R)²]
+  6. Update the mean and variance that normalise s, lower the learning rates, go to 1.
 terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
 
-= REINFORCE (reinforce_mujoco.py) plus: a critic, which foresees what an action leads to, so that
-nobody has to wait for the end of an episode (2, 3); N environments at a time, each in another part
-of its episode, so that a short rollout has enough to learn from (1).
-Left out on purpose: asynchronous updates (A3C, [1]), shared layers, images, continuous actions.
+= REINFORCE (reinforce_mujoco.py) plus: a critic, which foresees what a state is worth, so that δ
+can judge an action without waiting for the end of the episode (3, 4); N environments at a time,
+before long each in another part of its episode, so that a short rollout holds enough variety (1).
+Left out on purpose: the asynchronous workers of [1], layers that actor and critic share, images,
+continuous actions.
 
 Vectorised environments: one call of the network serves all N of them, and that is most of the gain.
 With --vectorization async each steps in a process of its own, which pays if a step takes longer
 than sending its result. `tests/benchmark.py scaling` measures both on your machine.
 
-Domain randomization. With --randomize every episode has its own gravity, wind and turbulence, so
-that no single world can be learned by heart. Evaluation keeps to the usual one.
-`tests/benchmark.py robustness` compares agents in many worlds.
+Domain randomization: with --randomize every episode has its own gravity, and every second one wind
+and turbulence of its own, so that no single world can be learned by heart. Evaluating and watching
+keep to the usual world; `tests/benchmark.py robustness` compares agents in many.
 
-Symbols:     γ discount, λ trust in rewards (1) against V (0), H entropy.
+Symbols:     γ discount; λ trust in rewards (1) against V (0); H entropy, c_H its weight.
 Shapes:      T steps, N environments, B = T·N rows, D dimensions of a state, K actions.
-Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+Units:       raw rewards in all returns (not in value_loss: step 2); environment steps; seconds.
 References:  [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning. [2]
              Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage
              Estimation. [3] Pardo et al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et
@@ -87,19 +89,25 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
-    def reset(self, **options):
-        self.episode_return, self.episode_start = 0.0, self.steps
-        return self.env.reset(**options)[0], {}
-
-    def step(self, action):
-        self.steps += 1
+    @contextlib.contextmanager
+    def naming(self):
         try:
-            obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not (np.isfinite(obs).all() and math.isfinite(reward)):
-                raise FloatingPointError("it returned NaN or infinity")
+            yield
         except Exception as error:
             at = f"environment {self.index}, at its step {self.steps}"
             raise gym.error.Error(f"{at}: {error!r}") from error
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        with self.naming():
+            return self.env.reset(**options)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        with self.naming():
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
         self.episode_return += float(reward)
         ended = terminated or truncated
         row = self.episode_return, self.steps - self.episode_start
@@ -109,23 +117,24 @@ class CheckedEnv(gym.Wrapper):
 class RandomPhysics(gym.Wrapper):
     """Draws LunarLander's physics for each episode anew ([4]), and adds them to its last info.
 
-    `widths`: how far gravity, wind power and turbulence may be from the usual. Values out of
-    LunarLander's range are not drawn. The generator is the wrapper's own, seeded by `reset`.
+    Half of the episodes have wind; only in these do wind power and turbulence matter. `widths`: how
+    far gravity, wind power and turbulence may be from LunarLander's defaults. Values out of its
+    range are not drawn. The generator is the wrapper's own, seeded by `reset`.
     """
 
     RANGES = {"gravity": (-10.0, -11.99, -0.01), "wind_power": (15.0, 0.0, 20.0),
-              "turbulence_power": (1.5, 0.0, 2.0)}  # usual, lowest, highest
+              "turbulence_power": (1.5, 0.0, 2.0)}  # default, lowest, highest
 
     def __init__(self, env, widths):
         super().__init__(env)
-        self.widths = widths
+        self.widths, self.random = widths, np.random.default_rng()
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
-            self.random = np.random.default_rng([seed, 1])  # [seed] is what the environment draws
+            self.random = np.random.default_rng([seed, 1])  # [seed] is the environment's own
         self.physics = {"enable_wind": bool(self.random.integers(2))}
-        for width, (name, (usual, lowest, highest)) in zip(self.widths, self.RANGES.items()):
-            low, high = max(usual - width, lowest), min(usual + width, highest)
+        for width, (name, (default, lowest, highest)) in zip(self.widths, self.RANGES.items()):
+            low, high = max(default - width, lowest), min(default + width, highest)
             self.physics[name] = self.random.uniform(low, high)
         vars(self.unwrapped).update(self.physics)
         return self.env.reset(seed=seed, options=options)
@@ -205,12 +214,12 @@ class Policy(nn.Module):
     def __init__(self, norm, action_space, hidden):
         super().__init__()
         self.norm, self.first_action = norm, int(action_space.start)
-        self.logits = mlp(len(norm.mean), hidden, int(action_space.n), 0.01, nn.ReLU)
+        self.net = mlp(len(norm.mean), hidden, int(action_space.n), 0.01, nn.ReLU)
 
     def forward(self, obs):
         """Observations (…, D) -> the distribution of an action (…), counted from 0."""
         return torch.distributions.Categorical(
-            logits=self.logits(self.norm(obs)), validate_args=False)
+            logits=self.net(self.norm(obs)), validate_args=False)
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
@@ -263,8 +272,8 @@ def rollout(envs, policy, obs, num_steps, env_step):
         transitions.append((obs, samples, rewards, next_obs, terminated, done))
         obs = new_obs
     device = policy.norm.mean.device
-    columns = [torch.as_tensor(np.stack(x), device=device) for x in zip(*transitions)]
-    columns = [x.float() if x.is_floating_point() else x for x in columns]
+    columns = [torch.as_tensor(np.stack(x)) for x in zip(*transitions)]
+    columns = [(x.float() if x.is_floating_point() else x).to(device) for x in columns]
     names = "states", "samples", "rewards", "next_states", "terminated", "done"
     return dict(zip(names, columns)), obs, episodes
 
@@ -303,13 +312,13 @@ def value_loss(values, targets):
 
 
 def optimise(agent, optimizer, transitions, args):
-    """Steps 2 to 4. Returns the diagnostics."""
+    """Steps 2 to 5. Returns the diagnostics."""
     states, actions, rewards, next_states, terminated, done = transitions.values()
     values = agent["critic"](states)
     with torch.no_grad():  # advantages and targets are data: no gradient goes through them
         next_values = agent["critic"](next_states)
         discounts = args.gamma, args.gae_lambda
-        rewards = args.reward_scale * rewards
+        rewards = args.reward_scale * rewards  # step 2
         advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
         targets = advantages + values
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
@@ -323,7 +332,7 @@ def optimise(agent, optimizer, transitions, args):
     critic_norm = nn.utils.clip_grad_norm_(agent["critic"].parameters(), args.max_grad_norm)
     if not (grad_norm + critic_norm).isfinite():
         sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
-    optimizer.step()  # step 4
+    optimizer.step()  # step 5
     diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
                    "explained_variance": 1 - (targets - values).var() / targets.var(),
                    "grad_norm": grad_norm, "critic_grad_norm": critic_norm}
@@ -346,7 +355,8 @@ def train(args, seed, folder, stop, bar_position=0):
     anneal = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda update: 1 - update / num_updates)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=N))
     columns = ["env_step", "return", "length"]
-    columns += args.randomize * ["enable_wind", *RandomPhysics.RANGES]
+    if args.randomize:
+        columns += ["enable_wind", *RandomPhysics.RANGES]
     env_step, seconds, evaluation, recent = 0, 0.0, {}, []
     clock = time.perf_counter()
     bar = tqdm(range(num_updates), f"seed {seed}", unit="step", unit_scale=T * N,
@@ -355,15 +365,18 @@ def train(args, seed, folder, stop, bar_position=0):
         try:
             batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
         except (EOFError, ConnectionError) as error:
+            for process in envs.processes:
+                process.kill()  # or each would complain that it has lost the others
+            envs.closed = True
             raise gym.error.Error(f"the process of an environment died: {error!r}") from error
-        diagnostics = optimise(agent, optimizer, batch, args)  # steps 2 to 4
-        agent["policy"].norm.update(batch["states"].flatten(0, 1))  # step 5
+        diagnostics = optimise(agent, optimizer, batch, args)  # steps 2 to 5
+        agent["policy"].norm.update(batch["states"].flatten(0, 1))  # step 6
         env_step += T * N
         duration = time.perf_counter() - clock
         seconds += duration
         metrics = {"env_step": env_step, **diagnostics, "learning_rate": anneal.get_last_lr()[0],
                    "steps_per_second": T * N / duration}
-        anneal.step()  # the end of step 5
+        anneal.step()  # the end of step 6
 
         stopped = stop.is_set()
         last = stopped or update + 1 == num_updates
@@ -448,8 +461,9 @@ def fly(args):
     import gymnasium.utils.play  # here, since it switches matplotlib over to a window
 
     env = make_env(args, "of yours", render_mode="rgb_array")
-    keys = {str(action): action for action in range(env.action_space.n)}
-    gymnasium.utils.play.play(env, keys_to_action=keys, callback=report)
+    first = env.action_space.start
+    keys = {str(i): first + i for i in range(env.action_space.n)}
+    gymnasium.utils.play.play(env, keys_to_action=keys, callback=report, noop=first)
 
 
 # --- Plot -----------------------------------------------------------------------------------------
@@ -610,6 +624,7 @@ def parse_args(argv=None):
     require("env_id", discrete, f"Discrete actions, not {actions} (see ppo_continuous.py)")
     lander = RandomPhysics.RANGES.keys() <= vars(env.unwrapped).keys()
     require("randomize", lander or not args.randomize, "an environment with LunarLander's physics")
+    require("rollout_steps", batch_size > 1, "at least 2 rows in a rollout")
     require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
     return args
 

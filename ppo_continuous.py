@@ -85,19 +85,25 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
-    def reset(self, **options):
-        self.episode_return, self.episode_start = 0.0, self.steps
-        return self.env.reset(**options)[0], {}
-
-    def step(self, action):
-        self.steps += 1
+    @contextlib.contextmanager
+    def naming(self):
         try:
-            obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not (np.isfinite(obs).all() and math.isfinite(reward)):
-                raise FloatingPointError("it returned NaN or infinity")
+            yield
         except Exception as error:
             at = f"environment {self.index}, at its step {self.steps}"
             raise gym.error.Error(f"{at}: {error!r}") from error
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        with self.naming():
+            return self.env.reset(**options)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        with self.naming():
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
         self.episode_return += float(reward)
         ended = terminated or truncated
         row = self.episode_return, self.steps - self.episode_start
@@ -236,8 +242,8 @@ def rollout(envs, policy, obs, num_steps, env_step):
         transitions.append((obs, samples, rewards, next_obs, terminated, done))
         obs = new_obs
     device = policy.norm.mean.device
-    columns = [torch.as_tensor(np.stack(x), device=device) for x in zip(*transitions)]
-    columns = [x.float() if x.is_floating_point() else x for x in columns]
+    columns = [torch.as_tensor(np.stack(x)) for x in zip(*transitions)]
+    columns = [(x.float() if x.is_floating_point() else x).to(device) for x in columns]
     names = "states", "samples", "rewards", "next_states", "terminated", "done"
     return dict(zip(names, columns)), obs, episodes
 

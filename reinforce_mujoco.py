@@ -29,15 +29,15 @@ Gaussian, and the environment returns a reward r and the next state, until the e
   5. Lower the learning rate, throw the episodes away (the new π would play others), go to 1.
 E[·] is the mean over the B steps; ∇ below is with respect to the weights of π.
 
-Why it learns: E[G·∇log π(u|s)] is the direction in which the expected return grows ([1]; [2] section
-13.3; up to a constant and the weights γ^t that everybody leaves out). It says: push each action's
-probability up in proportion to the return that followed. If no return is negative, as here, every
-action that was tried is pushed up, and only differences between large numbers teach anything. A
-baseline takes away what they have in common. On average that changes nothing ([2] section 13.4):
-E[b·∇log π(u|s)] = b·∫π·(∇π/π)du = b·∇∫π du = b·∇1 = 0 if b does not depend on u. What a good baseline
-lowers is the noise of the estimate, and so the number of episodes that are needed. The b of `mean`
-does depend on u a little, since u_t has a part in some of the returns that are averaged.
-`tests/benchmark.py baselines` measures the noise and the learning curves.
+Why it learns: E[G·∇log π(u|s)] is the direction in which the expected return grows ([1]; [2]
+section 13.3; up to a constant and to weights γ^t that are always left out). It says: push each
+action's probability up in proportion to the return that followed. If no return is negative, as
+here, every action that was tried is pushed up, and only differences between large numbers teach
+anything. A baseline takes away what they have in common. That changes nothing on average ([2]
+section 13.4): E[b·∇log π(u|s)] = b·∫π·(∇π/π)du = b·∇∫π du = b·∇1 = 0 if b does not depend on u. But
+a good baseline lowers the noise of the estimate, and so the number of episodes that are needed:
+`tests/benchmark.py baselines` measures both. (Strictly, the b of `mean` does depend on u a little,
+for u_t has a part in some of the returns, and in how many steps B there are to average over.)
 
 What a time limit costs: an episode that is cut off looks as if no reward would have come after it,
 so its last 1/(1−γ) steps or so (50 with the default γ) look worse than they are. REINFORCE cannot
@@ -94,19 +94,25 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
-    def reset(self, **options):
-        self.episode_return, self.episode_start = 0.0, self.steps
-        return self.env.reset(**options)[0], {}
-
-    def step(self, action):
-        self.steps += 1
+    @contextlib.contextmanager
+    def naming(self):
         try:
-            obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not (np.isfinite(obs).all() and math.isfinite(reward)):
-                raise FloatingPointError("it returned NaN or infinity")
+            yield
         except Exception as error:
             at = f"environment {self.index}, at its step {self.steps}"
             raise gym.error.Error(f"{at}: {error!r}") from error
+
+    def reset(self, **options):
+        self.episode_return, self.episode_start = 0.0, self.steps
+        with self.naming():
+            return self.env.reset(**options)[0], {}
+
+    def step(self, action):
+        self.steps += 1
+        with self.naming():
+            obs, reward, terminated, truncated, _ = self.env.step(action)
+            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+                raise FloatingPointError("it returned NaN or infinity")
         self.episode_return += float(reward)
         ended = terminated or truncated
         row = self.episode_return, self.steps - self.episode_start

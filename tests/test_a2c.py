@@ -640,7 +640,7 @@ def test_playing_without_a_display_ends_in_one_clear_line(tmp_path, monkeypatch,
 def test_playing_maps_a_key_to_each_action_and_prints_every_return(options, monkeypatch, capsys):
     returns = []
 
-    def fake_play(env, keys_to_action, callback):
+    def fake_play(env, keys_to_action, callback, noop):
         assert keys_to_action == {str(i): i for i in range(env.action_space.n)}
         for _ in range(2):  # episodes
             obs, _ = env.reset(seed=None)  # as the real one does
