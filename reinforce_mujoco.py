@@ -94,25 +94,25 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
-    @contextlib.contextmanager
-    def naming(self):
-        try:
-            yield
-        except Exception as error:
-            at = f"environment {self.index}, at its step {self.steps}"
-            raise gym.error.Error(f"{at}: {error!r}") from error
+    def fail(self, error):
+        at = f"environment {self.index}, at its step {self.steps}"
+        raise gym.error.Error(f"{at}: {error!r}") from error
 
     def reset(self, **options):
         self.episode_return, self.episode_start = 0.0, self.steps
-        with self.naming():
+        try:
             return self.env.reset(**options)[0], {}
+        except Exception as error:
+            self.fail(error)
 
     def step(self, action):
         self.steps += 1
-        with self.naming():
+        try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
             if not (np.isfinite(obs).all() and math.isfinite(reward)):
                 raise FloatingPointError("it returned NaN or infinity")
+        except Exception as error:
+            self.fail(error)
         self.episode_return += float(reward)
         ended = terminated or truncated
         row = self.episode_return, self.steps - self.episode_start
@@ -270,10 +270,10 @@ def train(args, seed, folder, stop, bar_position=0):
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
             append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+            save_checkpoint(folder, args, seed, agent=agent.state_dict())
         clock = time.perf_counter()  # evaluation is not training, all else is
         append_rows(folder / "metrics.csv", [metrics])
         append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
-        save_checkpoint(folder, args, seed, agent=agent.state_dict())
         recent = (recent + [row[1] for row in episodes])[-100:]
         bar.update(len(returns))
         evaluated = evaluation.get("return_mean", math.nan)

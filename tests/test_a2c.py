@@ -55,7 +55,7 @@ def make(env="DiscreteThreeSteps", options=""):
 
 def make_opinionated(agent):
     """A new policy finds all actions alike, which would hide mistakes."""
-    agent["policy"].logits[-1].weight.data *= 300
+    agent["policy"].net[-1].weight.data *= 300
     agent["policy"].norm.update(torch.randn(50, *agent["policy"].norm.mean.shape))
 
 
@@ -150,7 +150,7 @@ def gradients_by_hand(args, agent, transitions):
                     break
     targets = advantages + torch.tensor(values)
     advantages = (advantages - advantages.mean()) / advantages.std()
-    probs = policy.logits(policy.norm(states)).softmax(-1)
+    probs = policy.net(policy.norm(states)).softmax(-1)
     log_pi = probs.gather(-1, actions.unsqueeze(-1)).squeeze(-1).log()
     entropy = -(probs * probs.log()).sum(-1).mean()
     loss_pi = -(advantages * log_pi).mean() - args.entropy_coef * entropy
@@ -240,14 +240,14 @@ def test_the_logged_numbers_are_those_of_the_rollout():
 def test_log_probabilities_and_entropy_by_hand():
     _, _, obs, agent = make()
     policy, obs = agent["policy"], torch.as_tensor(obs)
-    p = policy.logits(policy.norm(obs)).exp()
+    p = policy.net(policy.norm(obs)).exp()
     p = p / p.sum(-1, keepdim=True)
     for action in range(3):
         log_probs = policy(obs).log_prob(torch.full((4,), action))
         torch.testing.assert_close(log_probs, p[:, action].log())
     torch.testing.assert_close(policy(obs).entropy(), -(p * p.log()).sum(-1))
     uniform = torch.zeros_like(p)
-    for parameter in policy.logits[-1].parameters():
+    for parameter in policy.net[-1].parameters():
         parameter.data.zero_()
     torch.testing.assert_close(policy(obs).entropy(), uniform[:, 0] + math.log(3))
 

@@ -67,7 +67,8 @@ REINFORCE = Script(
 )
 A2C = Script(
     a2c_vector, "CartPole-v1", "--num-envs 4 --rollout-steps 32",
-    "policy_loss value_loss entropy explained_variance grad_norm learning_rate", "Discrete",
+    "policy_loss value_loss entropy explained_variance grad_norm critic_grad_norm learning_rate",
+    "Discrete",
 )
 PPO = Script(
     ppo, "InvertedPendulum-v5", "--num-envs 4 --rollout-steps 32 --minibatch-size 32 --epochs 2",
@@ -566,7 +567,8 @@ def test_a_failing_environment_is_reported(
 ):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # Ctrl-C remains that of pytest
-    options = "--env-id", f"harness:{script.worlds}{world}-v0", "--total-steps", "512"
+    world = f"harness:{script.worlds}{world}-v0"
+    options = "--env-id", world, "--total-steps", "512", "--eval-every", "1"  # saves each time
     args = script.module.parse_args([*script.small, *options])
     with pytest.raises(SystemExit) as end:
         script.module.train_seeds(args, script.module.make_folder(args))
@@ -575,7 +577,8 @@ def test_a_failing_environment_is_reported(
 
 def test_a_failing_environment_as_the_user_sees_it(script, tmp_path):
     options = "--env-id", f"harness:{script.worlds}FailsLate-v0", "--total-steps", 512
-    process = run(script.file, *script.small, *options, cwd=tmp_path, status=1)
+    small = *script.small, "--eval-every", 1
+    process = run(script.file, *small, *options, cwd=tmp_path, status=1)
     assert "Traceback" not in process.err
     check_report(script, process.err.splitlines()[-1], 40, "pole", process.out, tmp_path)
 
