@@ -584,7 +584,7 @@ def script_arguments(env, options=""):
 def test_an_environment_that_fails_in_its_process_ends_in_one_line(
     world, mentions, tmp_path, own_group
 ):
-    arguments = script_arguments(world, "--total-steps 100000")
+    arguments = script_arguments(world, "--total-steps 100000 --eval-every 1 --eval-episodes 1")
     process = run("a2c_vector.py", *arguments, cwd=tmp_path, status=1)
     last = process.err.splitlines()[-1]
     assert last.startswith("error: ")
