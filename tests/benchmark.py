@@ -437,7 +437,7 @@ def baselines(args):
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     colours = dict(zip(BASELINES, sns.color_palette()))
-    curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("mean")), "return")
+    curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("value")), "return")
     sns.lineplot(curves, x="env_step", y="return", hue="flags", palette=colours, ax=left,
                  hue_order=BASELINES, errorbar=("se", 1.96))
     left.legend(title="--baseline")
