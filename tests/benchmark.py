@@ -428,6 +428,7 @@ def measure_variance(num_batches, threshold):
 
 def baselines(args):
     data, _, episodes = train_or_load(args)
+    episodes = episodes[episodes["env_step"] <= data["env_steps"].min()]  # no seed goes on alone
     table = measure_variance(args.batches, args.halfway)
     table.to_csv(args.out_dir / "variance.csv", index=False)
     print_table(["baseline", "total variance of the gradient", "relative to none",
