@@ -471,7 +471,7 @@ def parse_args(argv=None):
         help="b, what a return is compared with: 0, the mean of all, V(s)")
     add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
     add("--gamma", type=share, default=0.98, help="γ, discount of rewards")
-    add("--eval-every", type=number(int, 0), default=50, help="updates; 0: only at the end")
+    add("--eval-every", type=number(int, 0), default=150, help="updates; 0: only at the end")
     add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")
