@@ -34,9 +34,9 @@ before long each in another part of its episode, so that a short rollout holds e
 Left out on purpose: the asynchronous workers of [1], layers that actor and critic share, images,
 continuous actions.
 
-Vectorised environments: one call of the network serves all N of them, and that is most of the gain.
-With --vectorization async each steps in a process of its own, which pays if a step takes longer
-than sending its result. `tests/benchmark.py scaling` measures both on your machine.
+Vectorised environments: one call of the network serves all N of them. With --vectorization async
+each also steps in a process of its own, which can only pay if a step takes longer than sending its
+result. `tests/benchmark.py scaling` measures both on your machine.
 
 Domain randomization: with --randomize every episode has its own gravity, and every second one wind
 and turbulence of its own, so that no single world can be learned by heart. Evaluating and watching
@@ -366,7 +366,7 @@ def train(args, seed, folder, stop, bar_position=0):
     for update in bar:
         try:
             batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
-        except (EOFError, ConnectionError) as error:
+        except (EOFError, ConnectionError) as error:  # only async has processes that can die
             for process in envs.processes:
                 process.kill()  # or each would complain that it has lost the others
             envs.closed = True

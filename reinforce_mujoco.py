@@ -152,7 +152,8 @@ class Policy(nn.Module):
     def forward(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        std = nn.functional.softplus(self.raw_std(features)) + 0.1  # ∇log π grows like 1/σ
+        # The floor under σ keeps single updates small: ∇log π grows like 1/σ.
+        std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)
 
     @torch.inference_mode()
