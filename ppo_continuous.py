@@ -56,7 +56,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime
@@ -352,7 +351,7 @@ def optimise(agent, optimizer, transitions, args):
 
 
 def train(args, seed, folder, stop, bar_position=0):
-    """Train one seed into `folder`, from a checkpoint if given, until done or `stop` is set."""
+    """Train one seed into `folder`, new or resumed, until done or the file `stop` exists."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
@@ -384,7 +383,7 @@ def train(args, seed, folder, stop, bar_position=0):
         metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
                    "steps_per_second": T * N / duration}
 
-        stopped = stop.is_set()
+        stopped = stop.exists()
         last = stopped or update + 1 == num_updates
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
@@ -643,8 +642,8 @@ def start_worker(lock):
 def train_seeds(args, folder):
     """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
-    stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
-    signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
+    stop = folder / "stop"  # a file, since all processes can see it
+    signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
         if len(jobs) == 1:
@@ -658,6 +657,7 @@ def train_seeds(args, folder):
     except gym.error.Error as error:
         sys.exit(f"error: {error}")
     finally:
+        stop.unlink(missing_ok=True)
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")

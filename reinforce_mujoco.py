@@ -68,7 +68,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from datetime import datetime
@@ -161,7 +160,8 @@ class Policy(nn.Module):
         """NumPy (N, D) -> NumPy samples u (N, K), actions a (N, K); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         mean, std = distribution.mean, distribution.stddev
-        samples = mean if deterministic else torch.normal(mean, std)  # faster than .sample()
+        # u = μ + σ·ε with ε ~ N(0, 1), in half the time of distribution.sample()
+        samples = mean if deterministic else mean + std * torch.randn_like(mean)
         return samples.cpu().numpy(), samples.clamp(self.low, self.high).cpu().numpy()
 
 
@@ -227,7 +227,7 @@ def sample_episode(env, policy):
 
 
 def train(args, seed, folder, stop, bar_position=0):
-    """Train one seed into `folder`, until done or `stop` is set."""
+    """Train one seed into `folder`, until done or the file `stop` exists."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
@@ -270,7 +270,7 @@ def train(args, seed, folder, stop, bar_position=0):
         metrics = {"env_step": env_step, **{name: x.item() for name, x in diagnostics.items()},
                    "learning_rate": learning_rate, "steps_per_second": len(returns) / duration}
 
-        ended = env_step >= args.total_steps or stop.is_set()
+        ended = env_step >= args.total_steps or stop.exists()
         if ended or args.eval_every and update % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
@@ -496,8 +496,8 @@ def start_worker(lock):
 def train_seeds(args, folder):
     """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
-    stop = threading.Event() if len(args.seed) == 1 else context.Manager().Event()
-    signal.signal(signal.SIGINT, lambda *_: stop.set())  # train ends after its current update
+    stop = folder / "stop"  # a file, since all processes can see it
+    signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
         if len(jobs) == 1:
@@ -511,6 +511,7 @@ def train_seeds(args, folder):
     except gym.error.Error as error:
         sys.exit(f"error: {error}")
     finally:
+        stop.unlink(missing_ok=True)
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")

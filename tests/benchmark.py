@@ -78,7 +78,7 @@ def train(script, flags, seed):
     SCRIPTS[script].evaluate = lambda *_: {}
     with tempfile.TemporaryDirectory() as folder:
         args = SCRIPTS[script].parse_args(flags)
-        SCRIPTS[script].train(args, seed, Path(folder), multiprocessing.Event())
+        SCRIPTS[script].train(args, seed, Path(folder), Path(folder, "stop"))
         return json.loads(Path(folder, "summary.json").read_text())
 
 
@@ -362,10 +362,10 @@ def halfway_agent(threshold):
     with tempfile.TemporaryDirectory() as name:
         file = Path(name, "episodes.csv")
 
-        def is_set():
+        def exists():
             return file.exists() and pd.read_csv(file)["return"].tail(20).mean() >= threshold
 
-        reinforce.train(args, 1, Path(name), SimpleNamespace(is_set=is_set))
+        reinforce.train(args, 1, Path(name), SimpleNamespace(exists=exists))
         state = torch.load(Path(name, "checkpoint.pt"), weights_only=True)["agent"]
     args.baseline = "value"
     env = reinforce.CheckedEnv(gym.make(args.env_id), 0)

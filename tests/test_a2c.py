@@ -10,7 +10,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from types import SimpleNamespace
 
@@ -69,7 +68,7 @@ def play(env="DiscreteThreeSteps", options=""):
 def train(path, env, options="", seed=1):
     """Train into `path`: the parameters and statistics at the end."""
     path.mkdir(exist_ok=True)
-    a2c.train(parse(env, options), seed, path / "seed", threading.Event())
+    a2c.train(parse(env, options), seed, path / "seed", path / "stop")
     return torch.load(path / "seed/checkpoint.pt", weights_only=True)["agent"]
 
 

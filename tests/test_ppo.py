@@ -1,7 +1,6 @@
 """The maths of ppo_continuous.py against definitions, hand numbers and torch.distributions."""
 
 import math
-import threading
 
 import gymnasium as gym
 import harness  # registers the worlds
@@ -117,7 +116,7 @@ def test_the_last_row_of_a_rollout_and_a_rollout_of_one_step_learn():
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
     options = "--gamma 0.9 --total-steps 6400 --rollout-steps 32 --eval-every 0"
     args, _, _, agent = make("Forever", f"{options} --learning-rate 3e-3")
-    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    ppo.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     obs = torch.tensor([[0.0, steps] for steps in range(8)])

@@ -1,7 +1,6 @@
 """The maths of reinforce_mujoco.py against definitions, hand numbers and analytic gradients."""
 
 import math
-import threading
 
 import gymnasium as gym
 import harness  # registers the worlds
@@ -48,7 +47,7 @@ def watched(tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             for name in calls:
                 patch.setattr(rf, name, record(name, getattr(rf, name)))
-            rf.train(args, seed, folder, threading.Event())
+            rf.train(args, seed, folder, tmp_path / "stop")
         ((_, agent),) = calls.pop("make_agent")
         return agent, calls, folder
 
@@ -373,7 +372,7 @@ def test_the_value_network_learns_what_a_state_is_worth(watched):
 
 def test_it_learns_to_balance_a_pole(tmp_path):
     args = rf.parse_args(["--total-steps", "15000", "--eval-every", "0"])
-    rf.train(args, 1, tmp_path / "seed-1", threading.Event())
+    rf.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > 30
     episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
     assert episodes[-20:].mean() > 2.5 * episodes[:20].mean()

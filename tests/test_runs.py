@@ -10,7 +10,6 @@ import re
 import shutil
 import signal
 import sys
-import threading
 import time
 from collections import defaultdict
 from itertools import combinations
@@ -182,7 +181,7 @@ def test_no_episode_has_to_end_in_a_run(script, tmp_path):
     env_id, steps = {A2C: ("CartPole-v1", 16), PPO: ("HalfCheetah-v5", 128)}[script]
     options = [*script.small, "--rollout-steps", str(steps // 4), "--total-steps", str(steps)]
     args = script.module.parse_args(["--env-id", env_id, *options, "--eval-episodes", "1"])
-    script.module.train(args, 1, tmp_path / "seed-1", threading.Event())
+    script.module.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     script.module.plot(tmp_path)
     assert len(pd.read_csv(tmp_path / "seed-1/episodes.csv")) == 0
     assert (tmp_path / "learning_curve.png").exists()
@@ -276,10 +275,10 @@ def test_ctrl_c_at_any_moment_of_an_update_is_followed_by_an_evaluation(
     """After it was decided whether this update is the last, it is too late for this update."""
     args = script.module.parse_args([*script.three_steps, "--total-steps", "2048"])
     args.eval_every = 2
-    stop, function = threading.Event(), getattr(script.module, during)
+    stop, function = tmp_path / "stop", getattr(script.module, during)
 
     def stop_and_go_on(*args, **kwargs):
-        stop.set()
+        stop.touch()
         return function(*args, **kwargs)
 
     monkeypatch.setattr(script.module, during, stop_and_go_on)
@@ -309,7 +308,7 @@ def test_a_run_killed_at_any_three_moments_is_resumed_without_gap_or_repeat(tmp_
 def test_rows_written_after_the_last_checkpoint_do_not_come_twice(tmp_path, monkeypatch):
     """Random kills hardly ever hit the moment between the rows of an update and its checkpoint."""
     args = ppo.parse_args([*THREE_STEPS, "--total-steps", str(8 * BATCH), "--eval-every", "1"])
-    folder, stop, save = tmp_path / "seed-1", threading.Event(), ppo.save_checkpoint
+    folder, stop, save = tmp_path / "seed-1", tmp_path / "stop", ppo.save_checkpoint
 
     def die_at_update_4(*whose, **state):
         if state["progress"][0] == 4:
@@ -367,7 +366,7 @@ def test_a_new_process_acts_like_the_one_that_trained(script, tmp_path, monkeypa
         last[:] = [agent["policy"].act(obs, x)[1].tolist() for x in (True, False)]
 
     monkeypatch.setattr(module, "save_checkpoint", save_and_act)
-    module.train(module.parse_args(script.short), 1, tmp_path / "seed-1", threading.Event())
+    module.train(module.parse_args(script.short), 1, tmp_path / "seed-1", tmp_path / "stop")
     np.save(tmp_path / "obs.npy", obs)
     Path(tmp_path, "act.py").write_text(ACT.replace("SCRIPT", script.name))
     paths = tmp_path / "seed-1/checkpoint.pt", tmp_path / "obs.npy"
@@ -592,7 +591,7 @@ def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
     options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
     options += " --rollout-steps 64 --minibatch-size 64 --learning-rate 3e-3 --log-std -1.5"
     args = ppo.parse_args(options.split())
-    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    ppo.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > -0.03
     checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
     agent = ppo.make_agent(args, gym.make(args.env_id))
@@ -605,7 +604,7 @@ def test_it_learns_to_balance_a_pole(tmp_path):
     options = "--env-id InvertedPendulum-v5 --total-steps 24576 --num-envs 8 --rollout-steps 128"
     options += " --minibatch-size 128 --eval-every 0"
     args = ppo.parse_args(options.split())
-    ppo.train(args, 1, tmp_path / "seed-1", threading.Event())
+    ppo.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > 300
     episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
     assert episodes[-20:].mean() > 5 * episodes[:20].mean()
