@@ -105,7 +105,7 @@ class CheckedEnv(gym.Wrapper):
         self.steps += 1
         try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not (np.isfinite(obs).all() and math.isfinite(reward)):
+            if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
                 raise FloatingPointError("it returned NaN or infinity")
         except Exception as error:
             self.fail(error)

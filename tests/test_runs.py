@@ -4,6 +4,7 @@ import ast
 import contextlib
 import ctypes.util
 import json
+import math
 import pickle
 import random
 import re
@@ -14,7 +15,7 @@ import time
 from collections import defaultdict
 from itertools import combinations
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import NamedTuple
 
 import gymnasium as gym
@@ -549,6 +550,17 @@ def test_a_checkpoint_cannot_run_code(script, tmp_path, capsys):
         assert not victim.exists()
     pickle.loads(checkpoint.read_bytes())
     assert victim.exists()  # it would have
+
+
+def test_nan_and_infinity_are_noticed_wherever_they_are(script):
+    for wrong in math.nan, math.inf, -math.inf:
+        for observation, reward in (((0, wrong), 1.0), ((wrong, -wrong), 1.0), ((0, 0), wrong)):
+            env = script.module.CheckedEnv(gym.make(f"harness:{script.worlds}ThreeSteps-v0"), 0)
+            env.reset()
+            action, obs = env.action_space.sample(), np.float32(observation)
+            env.env = SimpleNamespace(step=lambda _, x=(obs, reward): (*x, False, False, {}))
+            with pytest.raises(gym.error.Error, match="NaN or infinity"):
+                env.step(action)
 
 
 def check_report(script, error, step, reason, out, cwd):
