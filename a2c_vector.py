@@ -610,7 +610,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=weight, default=0.5, help="longer gradients are shortened")
     add("--hidden-size", type=count, default=64, help="units in each hidden layer")
     add("--randomize", action="store_true", help="new physics for LunarLander in every episode")
-    add("--gravity-width", type=weight, default=8.0, help="gravity is -10 ± this, in (-12, 0)")
+    add("--gravity-width", type=weight, default=3.0, help="gravity is -10 ± this, in (-12, 0)")
     add("--wind-width", type=weight, default=15.0, help="wind power is 15 ± this, in [0, 20]")
     add("--turbulence-width", type=weight, default=1.5, help="turbulence is 1.5 ± this, in [0, 2]")
     add("--eval-every", type=number(int, 0), default=100, help="updates; 0: only at the end")
