@@ -313,9 +313,10 @@ def minibatches(transitions, policy, critic, args):
     states, latents, rewards, next_states, terminated, done = transitions.values()
     old_log_probs = policy(states).log_prob(latents).sum(-1).detach()
     for _ in range(args.epochs):
-        values = critic(torch.cat((states, next_states[-1:]))).detach()
-        values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's state,
-        next_values[done] = critic(next_states[done]).detach()  # except where an episode ended
+        with torch.no_grad():
+            values = critic(torch.cat((states, next_states[-1:])))
+            values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's s,
+            next_values[done] = critic(next_states[done])  # except where an episode ended
         discounts = args.gamma, args.gae_lambda
         advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
         batch = states, latents, old_log_probs, values, advantages, advantages + values
