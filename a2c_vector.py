@@ -27,20 +27,26 @@ reward r; the critic V(s) predicts the discounted sum of rewards to come.
   5. One step of Adam: π on −E[A·log π(a|s)] − c_H·H(π), A standardised; V on ½·E[(V(s) − R)²]
   6. Update the mean and variance that normalise s, lower the learning rates, go to 1.
 terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
+A rollout may end amid an episode: there A_T = 0, and V(s_T) in the last δ stands for what follows.
+E and H are means over all B rows. H, the entropy, keeps π from settling on one action too early.
+With λ = 0, A = δ: little noise, but wrong where V is. With λ = 1, A is the sum of all rewards to
+come, minus V, as in REINFORCE: right on average, but noisy.
 
-= REINFORCE (reinforce_mujoco.py) plus: a critic, which foresees what a state is worth, so that δ
-can judge an action without waiting for the end of the episode (3, 4); N environments at a time,
-before long each in another part of its episode, so that a short rollout holds enough variety (1).
-Left out on purpose: the asynchronous workers of [1], layers that actor and critic share, images,
-continuous actions.
+= REINFORCE (reinforce_mujoco.py) plus: a critic, which is not only what a return is compared with,
+but foresees the return, so that δ can judge an action without waiting for the end of the episode
+(3, 4); N environments at a time, before long each in another part of its episode, so that a short
+rollout holds enough variety (1). What keeps this stable: states are normalised, rewards scaled,
+advantages standardised, gradients clipped, and H is kept up.
+Left out on purpose: the asynchronous workers of [1], each of which updates the weights on its own;
+layers that actor and critic share; images; continuous actions.
 
 Vectorised environments: one call of the network serves all N of them. With --vectorization async
 each also steps in a process of its own, which can only pay if a step takes longer than sending its
 result. `tests/benchmark.py scaling` measures both on your machine.
 
-Domain randomization: with --randomize every episode has its own gravity, and every second one wind
-and turbulence of its own, so that no single world can be learned by heart. Evaluating and watching
-keep to the usual world; `tests/benchmark.py robustness` compares agents in many.
+Domain randomization: with --randomize every episode has its own gravity, and about half of them
+wind and turbulence of their own, so that no single world can be learned by heart. Evaluating and
+watching keep to the usual world; `tests/benchmark.py robustness` compares agents in many.
 
 Symbols:     γ discount; λ trust in rewards (1) against V (0); H entropy, c_H its weight.
 Shapes:      T steps, N environments, B = T·N rows, D dimensions of a state, K actions.
@@ -90,6 +96,10 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
+    def check(self, obs, reward=0.0):
+        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+            raise FloatingPointError("it returned NaN or infinity")
+
     def fail(self, error):
         at = f"environment {self.index}, at its step {self.steps}"
         raise gym.error.Error(f"{at}: {error!r}") from error
@@ -97,16 +107,17 @@ class CheckedEnv(gym.Wrapper):
     def reset(self, **options):
         self.episode_return, self.episode_start = 0.0, self.steps
         try:
-            return self.env.reset(**options)[0], {}
+            obs, _ = self.env.reset(**options)
+            self.check(obs)
         except Exception as error:
             self.fail(error)
+        return obs, {}
 
     def step(self, action):
         self.steps += 1
         try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
-                raise FloatingPointError("it returned NaN or infinity")
+            self.check(obs, reward)
         except Exception as error:
             self.fail(error)
         self.episode_return += float(reward)
@@ -192,6 +203,7 @@ class RunningNorm(nn.Module):
 
     def update(self, rows):
         """Pool `rows` (B, …) with all earlier ones ([5])."""
+        rows = rows.float()  # observations may be integers
         weight = len(rows) / (self.count + len(rows))
         delta = rows.mean(0) - self.mean
         var = self.var + weight * (rows.var(0, correction=0) - self.var + (1 - weight) * delta**2)
@@ -288,7 +300,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     """
-    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # step 3
+    deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
     advantages, advantage = [], torch.zeros_like(deltas[0])
     for delta, ended in zip(deltas.flip(0), done.flip(0)):  # from the last step to the first
         advantage = delta + gamma * gae_lambda * advantage.masked_fill(ended, 0.0)  # step 4
@@ -443,7 +455,7 @@ def watch(args):
     except Exception as error:  # every graphics library fails in its own way
         sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
     if frames:
-        fps = env.metadata["render_fps"]
+        fps = env.metadata.get("render_fps", 25)
         frames = frames[:: math.ceil(fps / 25)]
         pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
         frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
@@ -642,7 +654,7 @@ def start_worker(lock):
 def train_seeds(args, folder):
     """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
-    stop = folder / "stop"  # a file, since all processes can see it
+    stop = folder / f"stop-{os.getpid()}"  # a file, since all processes can see it
     signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
@@ -657,10 +669,10 @@ def train_seeds(args, folder):
     except gym.error.Error as error:
         sys.exit(f"error: {error}")
     finally:
-        stop.unlink(missing_ok=True)
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+        stop.unlink(missing_ok=True)
 
 
 def main():

@@ -19,7 +19,9 @@ Learns:   InvertedDoublePendulum-v5 in 151,552 steps: 9321 to 9326 of about 9350
 Command:  python ppo_continuous.py --seed 1 2 3 4 5
 
 The algorithm. For a state s the policy π draws a Gaussian sample u, the environment gets the action
-a = g(u) and returns a reward r; the critic V(s) predicts the discounted sum of rewards to come.
+a = g(u), within its bounds, and returns a reward r; the critic V(s) predicts the discounted sum of
+rewards to come. What turns out better than V foresaw is made more likely (reinforce_mujoco.py says
+why that makes returns grow):
   1. Play T steps in N environments with π, from now on π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t)
   2. Divide r by the running std of G_t = r_t + γ·G_{t−1}, which starts anew in each episode.
   Several times:
@@ -30,15 +32,18 @@ a = g(u) and returns a reward r; the critic V(s) predicts the discounted sum of 
   6.     Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π)
   7. Update the mean and variance that normalise s, lower the learning rate, go to 1.
 terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
+With λ = 0, A = δ: little noise, but wrong where V is. With λ = 1, A is the sum of all rewards to
+come, minus V: right on average, but noisy.
 
 = A2C (a2c_vector.py) plus: several epochs of minibatches per rollout, the KL limit (5), the clipped
-objective (6). Unlike [1], each epoch repeats 3 and 4 with the critic as it is by then ([6]).
+objective (6). Unlike [1], each epoch repeats 3 and 4 with the critic as it is by then ([6]). What
+else is new: actions are continuous (1), the scale of the rewards is found while learning (2).
 Left out on purpose: recurrent or shared networks, images, discrete actions, logging services.
 
 Symbols:     γ discount, λ trust in rewards (1) against V (0), ε clip range, H entropy.
 Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D dimensions of a state,
              K dimensions of an action.
-Units:       raw rewards wherever a number is shown or saved; environment steps; seconds.
+Units:       raw rewards in all returns (not in value_loss: step 2); environment steps; seconds.
 References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
              [2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized
              Advantage Estimation. [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
@@ -84,6 +89,10 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
+    def check(self, obs, reward=0.0):
+        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+            raise FloatingPointError("it returned NaN or infinity")
+
     def fail(self, error):
         at = f"environment {self.index}, at its step {self.steps}"
         raise gym.error.Error(f"{at}: {error!r}") from error
@@ -91,16 +100,17 @@ class CheckedEnv(gym.Wrapper):
     def reset(self, **options):
         self.episode_return, self.episode_start = 0.0, self.steps
         try:
-            return self.env.reset(**options)[0], {}
+            obs, _ = self.env.reset(**options)
+            self.check(obs)
         except Exception as error:
             self.fail(error)
+        return obs, {}
 
     def step(self, action):
         self.steps += 1
         try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
-                raise FloatingPointError("it returned NaN or infinity")
+            self.check(obs, reward)
         except Exception as error:
             self.fail(error)
         self.episode_return += float(reward)
@@ -144,6 +154,7 @@ class RunningNorm(nn.Module):
 
     def update(self, rows):
         """Pool `rows` (B, …) with all earlier ones ([5])."""
+        rows = rows.float()  # observations may be integers
         weight = len(rows) / (self.count + len(rows))
         delta = rows.mean(0) - self.mean
         var = self.var + weight * (rows.var(0, correction=0) - self.var + (1 - weight) * delta**2)
@@ -164,8 +175,9 @@ def mlp(inputs, hidden, outputs, output_gain, activation):
 class Policy(nn.Module):
     """π(u|s) = N(μ(s), σ²) over the latent action u (…, K); the environment gets a = g(u).
 
-    PPO needs π of u only: the density of a has the Jacobian of g as one more factor, the same for
-    π and π_old, which cancels in ρ. (An entropy bonus does differ: H is that of u.)
+    To PPO, g is a part of the environment: it needs π of u only. (The density of a = tanh(u) has
+    one more factor, the same for π and π_old, which cancels in ρ. An entropy bonus does differ: H
+    is that of u.)
 
     log σ = std_speed·parameter, the same in every state: Adam moves each parameter by about the
     learning rate, so with std_speed < 1 exploration outlives the first success.
@@ -194,7 +206,9 @@ class Policy(nn.Module):
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy latents u (N, K), actions a (N, K); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        latents = distribution.mean if deterministic else distribution.sample()
+        mean, std = distribution.mean, distribution.stddev
+        # u = μ + σ·ε with ε ~ N(0, 1), in half the time of distribution.sample()
+        latents = mean if deterministic else mean + std * torch.randn_like(mean)
         return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
 
 
@@ -253,7 +267,8 @@ def rollout(envs, policy, obs, num_steps, env_step):
 def scale_rewards(rewards, done, carry, reward_norm, gamma):
     """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
 
-    G looks back, unlike what V predicts, so it is known at once; it only serves to find the scale.
+    G looks back, unlike what V predicts, so it is known at once, and over many steps it spreads
+    about as widely. It only serves to find the scale: what is subtracted would change the task.
     `carry` (N,), γ·G from the rollout before, is returned for the next one.
     """
     scales = torch.empty_like(rewards)
@@ -270,7 +285,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     """
-    deltas = rewards + gamma * torch.where(terminated, 0.0, next_values) - values  # step 3
+    deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
     advantages, advantage = [], torch.zeros_like(deltas[0])
     for delta, ended in zip(deltas.flip(0), done.flip(0)):  # from the last step to the first
         advantage = delta + gamma * gae_lambda * advantage.masked_fill(ended, 0.0)  # step 4
@@ -282,13 +297,19 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(ratio, advantages, clip_eps):
-    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]: moving ρ beyond ε does not pay ([1] eq. 7); (M,) each."""
+    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]; (M,) each ([1] eq. 7).
+
+    ρ gains nothing above 1 + ε where A > 0, and nothing below 1 − ε where A < 0; the way back pays.
+    """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
 
 
 def value_loss(values, old_values, targets, clip_eps):
-    """E[(V − R)²]; with ε > 0 the larger of it and that of V within ±ε of V_old; (M,) each."""
+    """E[(V − R)²]; with ε > 0 the larger of it and that of V within ±ε of V_old.
+
+    (M,) each; V_old is V as it was when the epoch began.
+    """
     errors = (values - targets) ** 2
     if clip_eps > 0:
         clipped_values = old_values + (values - old_values).clamp(-clip_eps, clip_eps)
@@ -304,6 +325,7 @@ def approximate_kl(log_ratio):
 # --- Training -------------------------------------------------------------------------------------
 
 
+@torch.no_grad()  # advantages and targets are data: no gradient goes through them
 def minibatches(transitions, policy, critic, args):
     """Yields minibatches of at least `minibatch_size` rows, each row once an epoch; tensors (M, …).
 
@@ -311,12 +333,11 @@ def minibatches(transitions, policy, critic, args):
     each epoch takes its advantages from the critic as it is by then.
     """
     states, latents, rewards, next_states, terminated, done = transitions.values()
-    old_log_probs = policy(states).log_prob(latents).sum(-1).detach()
+    old_log_probs = policy(states).log_prob(latents).sum(-1)
     for _ in range(args.epochs):
-        with torch.no_grad():
-            values = critic(torch.cat((states, next_states[-1:])))
-            values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's s,
-            next_values[done] = critic(next_states[done])  # except where an episode ended
+        values = critic(torch.cat((states, next_states[-1:])))
+        values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is s_t of the next row,
+        next_values[done] = critic(next_states[done])  # except where an episode ended
         discounts = args.gamma, args.gae_lambda
         advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
         batch = states, latents, old_log_probs, values, advantages, advantages + values
@@ -333,7 +354,7 @@ def optimise(agent, optimizer, transitions, args):
         distribution = policy(states)
         log_ratio = distribution.log_prob(latents).sum(-1) - old_log_probs  # 0 until the first step
         ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
-        if 0 < args.target_kl < kl / 1.5:  # step 5
+        if logs and 0 < args.target_kl < kl / 1.5:  # step 5
             break
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         loss_pi = policy_loss(ratio, advantages, args.clip_eps)
@@ -452,7 +473,7 @@ def watch(args):
     except Exception as error:  # every graphics library fails in its own way
         sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
     if frames:
-        fps = env.metadata["render_fps"]
+        fps = env.metadata.get("render_fps", 25)
         frames = frames[:: math.ceil(fps / 25)]
         pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
         frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
@@ -645,7 +666,7 @@ def start_worker(lock):
 def train_seeds(args, folder):
     """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
-    stop = folder / "stop"  # a file, since all processes can see it
+    stop = folder / f"stop-{os.getpid()}"  # a file, since all processes can see it
     signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
@@ -660,10 +681,10 @@ def train_seeds(args, folder):
     except gym.error.Error as error:
         sys.exit(f"error: {error}")
     finally:
-        stop.unlink(missing_ok=True)
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+        stop.unlink(missing_ok=True)
 
 
 def main():

@@ -96,6 +96,10 @@ class CheckedEnv(gym.Wrapper):
         super().__init__(env)
         self.index, self.steps = index, 0
 
+    def check(self, obs, reward=0.0):
+        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+            raise FloatingPointError("it returned NaN or infinity")
+
     def fail(self, error):
         at = f"environment {self.index}, at its step {self.steps}"
         raise gym.error.Error(f"{at}: {error!r}") from error
@@ -103,16 +107,17 @@ class CheckedEnv(gym.Wrapper):
     def reset(self, **options):
         self.episode_return, self.episode_start = 0.0, self.steps
         try:
-            return self.env.reset(**options)[0], {}
+            obs, _ = self.env.reset(**options)
+            self.check(obs)
         except Exception as error:
             self.fail(error)
+        return obs, {}
 
     def step(self, action):
         self.steps += 1
         try:
             obs, reward, terminated, truncated, _ = self.env.step(action)
-            if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
-                raise FloatingPointError("it returned NaN or infinity")
+            self.check(obs, reward)
         except Exception as error:
             self.fail(error)
         self.episode_return += float(reward)
@@ -331,7 +336,7 @@ def watch(args):
     except Exception as error:  # every graphics library fails in its own way
         sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
     if frames:
-        fps = env.metadata["render_fps"]
+        fps = env.metadata.get("render_fps", 25)
         frames = frames[:: math.ceil(fps / 25)]
         pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
         frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
@@ -496,7 +501,7 @@ def start_worker(lock):
 def train_seeds(args, folder):
     """Train the seeds, several side by side in processes, and draw their learning curve."""
     context = multiprocessing.get_context("spawn")
-    stop = folder / "stop"  # a file, since all processes can see it
+    stop = folder / f"stop-{os.getpid()}"  # a file, since all processes can see it
     signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
     jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
     try:
@@ -511,10 +516,10 @@ def train_seeds(args, folder):
     except gym.error.Error as error:
         sys.exit(f"error: {error}")
     finally:
-        stop.unlink(missing_ok=True)
         if any(folder.glob("*/evals.csv")):
             plot(folder)
         print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+        stop.unlink(missing_ok=True)
 
 
 def main():

@@ -108,6 +108,13 @@ class Echo(World):
         return 1.0
 
 
+class Counts(World):
+    """Shows whole numbers, of an integer type."""
+
+    def observe(self):
+        return np.array([self.steps, 7])
+
+
 class Timeless(World):
     """Does not show when its episodes end."""
 
@@ -145,6 +152,8 @@ if "ThreeSteps-v0" not in gym.registry:
         register(f"{prefix}FailsLate", fault="raise", fault_at=40, actions=actions)
         register(f"{prefix}FailsEarly", fault="raise", fault_at=2, actions=actions)
         register(f"{prefix}TurnsNaN", fault="nan", fault_at=40, actions=actions)
+        integers = Box(0, 9, (2,), np.array(0).dtype)
+        register(f"{prefix}Counts", Counts, observations=integers, actions=actions)
     register("Target", Target, length=1)
     register("DictObs", observations=Dict(position=Box(-1, 1, (2,))))
     register("Image", observations=Box(0, 255, (8, 8, 3), np.uint8))

@@ -188,6 +188,13 @@ def test_no_episode_has_to_end_in_a_run(script, tmp_path):
     assert (tmp_path / "learning_curve.png").exists()
 
 
+def test_observations_may_be_integers(script, tmp_path):
+    world = f"harness:{script.worlds}Counts-v0"
+    args = script.module.parse_args([*script.small, "--env-id", world, "--total-steps", "256"])
+    script.module.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
+    assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] == 3
+
+
 # --- Seeds ----------------------------------------------------------------------------------------
 
 
@@ -561,6 +568,9 @@ def test_nan_and_infinity_are_noticed_wherever_they_are(script):
             env.env = SimpleNamespace(step=lambda _, x=(obs, reward): (*x, False, False, {}))
             with pytest.raises(gym.error.Error, match="NaN or infinity"):
                 env.step(action)
+        env.env = SimpleNamespace(reset=lambda x=wrong: (np.float32([0, x]), {}))
+        with pytest.raises(gym.error.Error, match="NaN or infinity"):
+            env.reset()
 
 
 def check_report(script, error, step, reason, out, cwd):
