@@ -286,11 +286,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     """
     deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
-    advantages, advantage = [], torch.zeros_like(deltas[0])
-    for delta, ended in zip(deltas.flip(0), done.flip(0)):  # from the last step to the first
-        advantage = delta + gamma * gae_lambda * advantage.masked_fill(ended, 0.0)  # step 4
-        advantages.append(advantage)
-    return torch.stack(advantages).flip(0)
+    deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than tensors for small rows
+    advantages, advantage = np.empty_like(deltas), np.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        advantage = deltas[t] + gamma * gae_lambda * np.where(done[t], 0, advantage)  # step 4
+        advantages[t] = advantage
+    return torch.as_tensor(advantages, device=rewards.device)
 
 
 # --- Loss -----------------------------------------------------------------------------------------

@@ -299,6 +299,7 @@ def test_parameters_stay_finite_when_the_batch_is_no_multiple_of_the_minibatch()
     assert all(p.isfinite().all() for p in agent.parameters())
 
 
+@torch.no_grad()
 def test_advantages_are_taken_anew_from_the_critic_of_each_epoch():
     args, agent, transitions, _ = play(options="--epochs 2 --minibatch-size 100")
     critic = agent["critic"]
