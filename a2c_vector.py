@@ -61,6 +61,7 @@ References:  [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement L
 
 import argparse
 import contextlib
+import csv
 import importlib.metadata
 import json
 import math
@@ -397,11 +398,12 @@ def train(args, seed, folder, stop, bar_position=0):
         if last or args.eval_every and (update + 1) % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
-            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+            append_rows(folder / "evals.csv", ["env_step", *evaluation],
+                        [[env_step, *evaluation.values()]])
             save_checkpoint(folder, args, seed, agent=agent.state_dict())
         clock = time.perf_counter()  # evaluation is not training, all else is
-        append_rows(folder / "metrics.csv", [metrics])
-        append_rows(folder / "episodes.csv", episodes, columns)
+        append_rows(folder / "metrics.csv", metrics, [metrics.values()])
+        append_rows(folder / "episodes.csv", columns, episodes)
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
@@ -524,10 +526,13 @@ def versions():
     return {name: importlib.metadata.version(name) for name in names}
 
 
-def append_rows(path, rows, columns=None):
-    """Add rows to a CSV file, below a header if it is new."""
+def append_rows(path, columns, rows):
+    """Add rows to a CSV file, below the names of its columns if it is new."""
     with path.open("a", newline="") as file:
-        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+        writer = csv.writer(file, lineterminator="\n")
+        if file.tell() == 0:
+            writer.writerow(columns)
+        writer.writerows(rows)
 
 
 def save_checkpoint(folder, args, seed, **state):
@@ -626,7 +631,7 @@ def parse_args(argv=None):
     add("--gravity-width", type=weight, default=3.0, help="gravity is -10 ± this, in (-12, 0)")
     add("--wind-width", type=weight, default=15.0, help="wind power is 15 ± this, in [0, 20]")
     add("--turbulence-width", type=weight, default=1.5, help="turbulence is 1.5 ± this, in [0, 2]")
-    add("--eval-every", type=number(int, 0), default=100, help="updates; 0: only at the end")
+    add("--eval-every", type=number(int, 0), default=100, help="updates; also saves; 0: at the end")
     add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")

@@ -54,6 +54,7 @@ References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
 
 import argparse
 import contextlib
+import csv
 import importlib.metadata
 import json
 import math
@@ -350,6 +351,7 @@ def minibatches(transitions, policy, critic, args):
 def optimise(agent, optimizer, transitions, args):
     """Steps 3 to 6. Returns each diagnostic's mean over the minibatches that were learned from."""
     policy, critic, logs = agent["policy"], agent["critic"], []
+    parameters = list(agent.parameters())
     for rows in minibatches(transitions, policy, critic, args):
         states, latents, old_log_probs, old_values, advantages, targets = rows
         distribution = policy(states)
@@ -363,7 +365,7 @@ def optimise(agent, optimizer, transitions, args):
         entropy = distribution.entropy().sum(-1).mean()
         optimizer.zero_grad()
         (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # step 6
-        grad_norm = nn.utils.clip_grad_norm_(agent.parameters(), args.max_grad_norm)
+        grad_norm = nn.utils.clip_grad_norm_(parameters, args.max_grad_norm)
         if not grad_norm.isfinite():
             sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
         optimizer.step()
@@ -410,17 +412,20 @@ def train(args, seed, folder, stop, bar_position=0):
 
         stopped = stop.exists()
         last = stopped or update + 1 == num_updates
-        if last or args.eval_every and (update + 1) % args.eval_every == 0:
+        due = last or args.eval_every and (update + 1) % args.eval_every == 0
+        if due:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
-            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+            append_rows(folder / "evals.csv", ["env_step", *evaluation],
+                        [[env_step, *evaluation.values()]])
         clock = time.perf_counter()  # evaluation is not training, all else is
-        append_rows(folder / "metrics.csv", [metrics])
-        append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
-        save_checkpoint(folder, args, seed, agent=agent.state_dict(),
-                        optimizer=optimizer.state_dict(), rng=torch.get_rng_state(),
-                        progress=(update + 1, seconds, evaluation),
-                        csv_bytes={p.name: p.stat().st_size for p in folder.glob("*.csv")})
+        append_rows(folder / "metrics.csv", metrics, [metrics.values()])
+        append_rows(folder / "episodes.csv", ["env_step", "return", "length"], episodes)
+        if due:
+            save_checkpoint(folder, args, seed, agent=agent.state_dict(),
+                            optimizer=optimizer.state_dict(), rng=torch.get_rng_state(),
+                            progress=(update + 1, seconds, evaluation),
+                            csv_bytes={p.name: p.stat().st_size for p in folder.glob("*.csv")})
         recent = (recent + [row[1] for row in episodes])[-20:]
         evaluated = evaluation.get("return_mean", math.nan)
         bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
@@ -525,10 +530,13 @@ def versions():
     return {name: importlib.metadata.version(name) for name in names}
 
 
-def append_rows(path, rows, columns=None):
-    """Add rows to a CSV file, below a header if it is new."""
+def append_rows(path, columns, rows):
+    """Add rows to a CSV file, below the names of its columns if it is new."""
     with path.open("a", newline="") as file:
-        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+        writer = csv.writer(file, lineterminator="\n")
+        if file.tell() == 0:
+            writer.writerow(columns)
+        writer.writerows(rows)
 
 
 def save_checkpoint(folder, args, seed, **state):
@@ -640,7 +648,7 @@ def parse_args(argv=None):
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
     add("--std-speed", type=number(float, 0.01), default=0.3, help="σ's pace of learning; μ's is 1")
     add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
-    add("--eval-every", type=number(int, 0), default=20, help="updates; 0: only at the end")
+    add("--eval-every", type=number(int, 0), default=20, help="updates; also saves; 0: at the end")
     add("--eval-episodes", type=count, default=10, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")

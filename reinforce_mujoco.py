@@ -61,6 +61,7 @@ References:  [1] Williams 1992, Simple Statistical Gradient-Following Algorithms
 
 import argparse
 import contextlib
+import csv
 import importlib.metadata
 import json
 import math
@@ -279,11 +280,12 @@ def train(args, seed, folder, stop, bar_position=0):
         if ended or args.eval_every and update % args.eval_every == 0:
             seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
             evaluation = evaluate(agent["policy"], eval_env, seeds)
-            append_rows(folder / "evals.csv", [{"env_step": env_step, **evaluation}])
+            append_rows(folder / "evals.csv", ["env_step", *evaluation],
+                        [[env_step, *evaluation.values()]])
             save_checkpoint(folder, args, seed, agent=agent.state_dict())
         clock = time.perf_counter()  # evaluation is not training, all else is
-        append_rows(folder / "metrics.csv", [metrics])
-        append_rows(folder / "episodes.csv", episodes, ["env_step", "return", "length"])
+        append_rows(folder / "metrics.csv", metrics, [metrics.values()])
+        append_rows(folder / "episodes.csv", ["env_step", "return", "length"], episodes)
         recent = (recent + [row[1] for row in episodes])[-100:]
         bar.update(len(returns))
         evaluated = evaluation.get("return_mean", math.nan)
@@ -385,10 +387,13 @@ def versions():
     return {name: importlib.metadata.version(name) for name in names}
 
 
-def append_rows(path, rows, columns=None):
-    """Add rows to a CSV file, below a header if it is new."""
+def append_rows(path, columns, rows):
+    """Add rows to a CSV file, below the names of its columns if it is new."""
     with path.open("a", newline="") as file:
-        pd.DataFrame(rows, columns=columns).to_csv(file, header=file.tell() == 0, index=False)
+        writer = csv.writer(file, lineterminator="\n")
+        if file.tell() == 0:
+            writer.writerow(columns)
+        writer.writerows(rows)
 
 
 def save_checkpoint(folder, args, seed, **state):
@@ -477,7 +482,7 @@ def parse_args(argv=None):
         help="b, what a return is compared with: 0, the mean of all, V(s)")
     add("--learning-rate", type=weight, default=1e-2, help="of Adam at first; it falls to 0")
     add("--gamma", type=share, default=0.98, help="γ, discount of rewards")
-    add("--eval-every", type=number(int, 0), default=150, help="updates; 0: only at the end")
+    add("--eval-every", type=number(int, 0), default=150, help="updates; also saves; 0: at the end")
     add("--eval-episodes", type=count, default=20, help="episodes of an evaluation")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="where run folders are made")
