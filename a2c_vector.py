@@ -98,7 +98,7 @@ class CheckedEnv(gym.Wrapper):
         self.index, self.steps = index, 0
 
     def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+        if not math.isfinite(np.dot(obs, obs) + reward):  # a sum is finite if all parts are
             raise FloatingPointError("it returned NaN or infinity")
 
     def fail(self, error):
@@ -332,9 +332,9 @@ def optimise(agent, optimizer, transitions, args):
     values = agent["critic"](states)
     with torch.no_grad():  # advantages and targets are data: no gradient goes through them
         next_values = agent["critic"](next_states)
-        discounts = args.gamma, args.gae_lambda
         rewards = args.reward_scale * rewards  # step 2
-        advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
+        advantages = compute_gae(rewards, values, next_values, terminated, done,
+                                 args.gamma, args.gae_lambda)
         targets = advantages + values
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
     distribution = agent["policy"](states)
@@ -401,7 +401,7 @@ def train(args, seed, folder, stop, bar_position=0):
             append_rows(folder / "evals.csv", ["env_step", *evaluation],
                         [[env_step, *evaluation.values()]])
             save_checkpoint(folder, args, seed, agent=agent.state_dict())
-        clock = time.perf_counter()  # evaluation is not training, all else is
+        clock = time.perf_counter()  # evaluating and saving are not training, all else is
         append_rows(folder / "metrics.csv", metrics, [metrics.values()])
         append_rows(folder / "episodes.csv", columns, episodes)
         recent = (recent + [row[1] for row in episodes])[-20:]

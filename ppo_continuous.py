@@ -91,7 +91,7 @@ class CheckedEnv(gym.Wrapper):
         self.index, self.steps = index, 0
 
     def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+        if not math.isfinite(np.dot(obs, obs) + reward):  # a sum is finite if all parts are
             raise FloatingPointError("it returned NaN or infinity")
 
     def fail(self, error):
@@ -208,7 +208,7 @@ class Policy(nn.Module):
         """NumPy (N, D) -> NumPy latents u (N, K), actions a (N, K); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         mean, std = distribution.mean, distribution.stddev
-        # u = μ + σ·ε with ε ~ N(0, 1), in half the time of distribution.sample()
+        # u = μ + σ·ε with ε ~ N(0, 1): what distribution.sample() does, but faster
         latents = mean if deterministic else mean + std * torch.randn_like(mean)
         return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
 
@@ -340,8 +340,8 @@ def minibatches(transitions, policy, critic, args):
         values = critic(torch.cat((states, next_states[-1:])))
         values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is s_t of the next row,
         next_values[done] = critic(next_states[done])  # except where an episode ended
-        discounts = args.gamma, args.gae_lambda
-        advantages = compute_gae(rewards, values, next_values, terminated, done, *discounts)
+        advantages = compute_gae(rewards, values, next_values, terminated, done,
+                                 args.gamma, args.gae_lambda)
         batch = states, latents, old_log_probs, values, advantages, advantages + values
         order = torch.randperm(rewards.numel())
         parts = len(order) // args.minibatch_size

@@ -98,7 +98,7 @@ class CheckedEnv(gym.Wrapper):
         self.index, self.steps = index, 0
 
     def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # cheap: one number for all of them
+        if not math.isfinite(np.dot(obs, obs) + reward):  # a sum is finite if all parts are
             raise FloatingPointError("it returned NaN or infinity")
 
     def fail(self, error):
@@ -166,7 +166,7 @@ class Policy(nn.Module):
         """NumPy (N, D) -> NumPy samples u (N, K), actions a (N, K); deterministic: u = μ(s)."""
         distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         mean, std = distribution.mean, distribution.stddev
-        # u = μ + σ·ε with ε ~ N(0, 1), in half the time of distribution.sample()
+        # u = μ + σ·ε with ε ~ N(0, 1): what distribution.sample() does, but faster
         samples = mean if deterministic else mean + std * torch.randn_like(mean)
         return samples.cpu().numpy(), samples.clamp(self.low, self.high).cpu().numpy()
 
@@ -283,7 +283,7 @@ def train(args, seed, folder, stop, bar_position=0):
             append_rows(folder / "evals.csv", ["env_step", *evaluation],
                         [[env_step, *evaluation.values()]])
             save_checkpoint(folder, args, seed, agent=agent.state_dict())
-        clock = time.perf_counter()  # evaluation is not training, all else is
+        clock = time.perf_counter()  # evaluating and saving are not training, all else is
         append_rows(folder / "metrics.csv", metrics, [metrics.values()])
         append_rows(folder / "episodes.csv", ["env_step", "return", "length"], episodes)
         recent = (recent + [row[1] for row in episodes])[-100:]
