@@ -235,7 +235,7 @@ class Policy(nn.Module):
         return torch.distributions.Categorical(
             logits=self.net(self.norm(obs)), validate_args=False)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy actions (N,), counted from 0 and as the environment counts them."""
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)

@@ -193,24 +193,34 @@ class Policy(nn.Module):
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
     def forward(self, obs):
-        """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
-        log_std = (self.std_speed * self.slow_log_std).clamp(-10, 2)
-        mean = self.mean_net(self.norm(obs))
-        return torch.distributions.Normal(mean, log_std.exp(), validate_args=False)
+        """Observations (…, D) -> μ(s) (…, K) and log σ (K,)."""
+        return self.mean_net(self.norm(obs)), (self.std_speed * self.slow_log_std).clamp(-10, 2)
 
     def bound(self, latents):
         """a = g(u): to [−1, 1] by tanh or by clipping, then stretched over [low, high]."""
         unit = torch.tanh(latents) if self.squash == "tanh" else latents.clamp(-1, 1)
         return torch.lerp(self.low, self.high, (unit + 1) / 2)
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy latents u (N, K), actions a (N, K); deterministic: u = μ(s)."""
-        distribution = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        mean, std = distribution.mean, distribution.stddev
-        # u = μ + σ·ε with ε ~ N(0, 1): what distribution.sample() does, but faster
-        latents = mean if deterministic else mean + std * torch.randn_like(mean)
+        """NumPy (N, D) -> NumPy latents u = μ + σ·ε (N, K), ε ~ N(0, 1), and actions a (N, K).
+
+        deterministic: u = μ(s).
+        """
+        mean, log_std = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        latents = mean if deterministic else mean + log_std.exp() * torch.randn_like(mean)
         return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
+
+
+def gaussian_log_prob(latents, mean, log_std):
+    """log N(u; μ, σ²) = −Σ_k [((u_k − μ_k)/σ_k)²/2 + log σ_k + log(2π)/2]; u (…, K) -> (…,)."""
+    squares = ((latents - mean) / log_std.exp()) ** 2
+    return -squares.sum(-1) / 2 - (log_std + math.log(2 * math.pi) / 2).sum()
+
+
+def gaussian_entropy(log_std):
+    """H = −E[log N(u; μ, σ²)] = Σ_k [log σ_k + log(2πe)/2], wherever μ is."""
+    return (log_std + math.log(2 * math.pi * math.e) / 2).sum()
 
 
 class Critic(nn.Module):
@@ -270,13 +280,13 @@ def scale_rewards(rewards, done, carry, reward_norm, gamma):
 
     G looks back, unlike what V predicts, so it is known at once, and over many steps it spreads
     about as widely. It only serves to find the scale: what is subtracted would change the task.
-    `carry` (N,), γ·G from the rollout before, is returned for the next one.
+    `carry` (N,), γ·G from the rollout before (0 before the first), is returned for the next one.
     """
-    scales = torch.empty_like(rewards)
-    for t in range(len(rewards)):
-        scales[t] = rewards[t] + carry
-        carry = gamma * torch.where(done[t], 0.0, scales[t])
-    reward_norm.update(scales.flatten())
+    scales, done = rewards.cpu().numpy().copy(), done.cpu().numpy()  # fast for small rows
+    for t in range(len(scales)):
+        scales[t] += carry
+        carry = gamma * np.where(done[t], 0, scales[t])
+    reward_norm.update(torch.as_tensor(scales.flatten(), device=rewards.device))
     return rewards / reward_norm.var.sqrt(), carry
 
 
@@ -335,7 +345,7 @@ def minibatches(transitions, policy, critic, args):
     each epoch takes its advantages from the critic as it is by then.
     """
     states, latents, rewards, next_states, terminated, done = transitions.values()
-    old_log_probs = policy(states).log_prob(latents).sum(-1)
+    old_log_probs = gaussian_log_prob(latents, *policy(states))
     for _ in range(args.epochs):
         values = critic(torch.cat((states, next_states[-1:])))
         values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is s_t of the next row,
@@ -354,15 +364,16 @@ def optimise(agent, optimizer, transitions, args):
     parameters = list(agent.parameters())
     for rows in minibatches(transitions, policy, critic, args):
         states, latents, old_log_probs, old_values, advantages, targets = rows
-        distribution = policy(states)
-        log_ratio = distribution.log_prob(latents).sum(-1) - old_log_probs  # 0 until the first step
+        mean, log_std = policy(states)
+        log_probs = gaussian_log_prob(latents, mean, log_std)
+        log_ratio = log_probs - old_log_probs  # 0 until the first step
         ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
         if logs and 0 < args.target_kl < kl / 1.5:  # step 5
             break
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
         loss_pi = policy_loss(ratio, advantages, args.clip_eps)
         loss_v = value_loss(critic(states), old_values, targets, args.value_clip_eps)
-        entropy = distribution.entropy().sum(-1).mean()
+        entropy = gaussian_entropy(log_std)  # σ is the same in every state: no mean to take
         optimizer.zero_grad()
         (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # step 6
         grad_norm = nn.utils.clip_grad_norm_(parameters, args.max_grad_norm)
@@ -373,7 +384,7 @@ def optimise(agent, optimizer, transitions, args):
             "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
             "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(),
             "explained_variance": 1 - (targets - old_values).var() / targets.var(),
-            "grad_norm": grad_norm, "policy_std": distribution.stddev.mean()})
+            "grad_norm": grad_norm, "policy_std": log_std.exp().mean()})
     return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
 
 
@@ -391,7 +402,7 @@ def train(args, seed, folder, stop, bar_position=0):
     if args.resume:
         first, seconds, evaluation = restore(args, folder, agent, optimizer)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2 + first, count=N))
-    env_step, carry, recent = first * T * N, torch.zeros(N, device=args.device), []
+    env_step, carry, recent = first * T * N, 0.0, []
     clock = time.perf_counter()
     bar = tqdm(range(first, num_updates), f"seed {seed}", num_updates, initial=first, unit="step",
                unit_scale=T * N, position=bar_position)

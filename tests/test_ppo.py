@@ -41,6 +41,10 @@ def make_policy(options=""):
     return make(options=options)[-1]["policy"]
 
 
+def log_prob(agent, states, latents):
+    return ppo.gaussian_log_prob(latents, *agent["policy"](states))
+
+
 def adam(agent, lr):
     return torch.optim.Adam(agent.parameters(), lr=lr)
 
@@ -133,7 +137,7 @@ def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, squash):
     args, agent, transitions, _ = play(options=f"--squash {squash} --log-std {log_std}", mean=mean)
     agent["policy"].norm.update(torch.randn(50, 2))
     for states, latents, old_log_probs, *_ in ppo.minibatches(transitions, *rows_of(agent), args):
-        ratio = (agent["policy"](states).log_prob(latents).sum(-1) - old_log_probs).exp()
+        ratio = (log_prob(agent, states, latents) - old_log_probs).exp()
         assert (ratio - 1).abs().max() < 1e-5
     metrics = ppo.optimise(agent, adam(agent, lr=0), transitions, args)
     assert metrics["clip_fraction"] == 0
@@ -148,23 +152,33 @@ def test_policies_acting_and_learning_see_the_same_density():
     """What rollout stores has the density that it was drawn from: N(μ(s), σ²), not clipped."""
     _, agent, transitions, _ = play(options="--log-std 1")
     states, latents, *_ = transitions.values()
-    noise = (latents - agent["policy"](states).mean) / math.exp(1.0)
+    noise = (latents - agent["policy"](states)[0]) / math.exp(1.0)
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
+
+
+def test_log_probability_and_entropy_are_those_of_torch():
+    mean, u = torch.randn(2, 100, 3, dtype=torch.float64)
+    log_std = torch.tensor([-3.0, 0.5, 1.0], dtype=torch.float64)
+    normal = Normal(mean, log_std.exp())
+    ours = ppo.gaussian_log_prob(u, mean, log_std)
+    torch.testing.assert_close(ours, normal.log_prob(u).sum(-1), rtol=1e-12, atol=0)
+    entropy = ppo.gaussian_entropy(log_std).expand(100)
+    torch.testing.assert_close(entropy, normal.entropy().sum(-1), rtol=1e-12, atol=0)
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
     old, new = (make_policy(f"--log-std {x}").double() for x in (-0.5, 0.2))
     new.mean_net[-1].bias.data += 0.7
     obs = torch.randn(1000, 2, dtype=torch.float64)
-    latents = old(obs).sample()
+    latents = torch.randn(1000, 2, dtype=torch.float64)
     action = torch.tanh(latents)
     squashed, gaussian = [], []
     for policy in old, new:
-        base = policy(obs)
-        tanh_normal = TransformedDistribution(Normal(base.mean, base.stddev), [TanhTransform()])
+        mean, log_std = policy(obs)
+        tanh_normal = TransformedDistribution(Normal(mean, log_std.exp()), [TanhTransform()])
         squashed.append(tanh_normal.log_prob(action).sum(-1))
-        gaussian.append(base.log_prob(latents).sum(-1))
+        gaussian.append(ppo.gaussian_log_prob(latents, mean, log_std))
     assert (squashed[0] - gaussian[0]).abs().max() > 0.1  # the densities themselves do differ
     torch.testing.assert_close((squashed[1] - squashed[0]).exp(), (gaussian[1] - gaussian[0]).exp())
 
@@ -181,7 +195,7 @@ def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
 def test_policy_loss_starts_as_the_policy_gradient():
     _, agent, transitions, _ = play()
     states, latents, *_ = transitions.values()
-    log_probs = agent["policy"](states.flatten(0, 1)).log_prob(latents.flatten(0, 1)).sum(-1)
+    log_probs = log_prob(agent, states, latents).flatten()
     advantages = torch.randn(len(log_probs))
     parameters = list(agent["policy"].parameters())
     ratio = (log_probs - log_probs.detach()).exp()
@@ -205,7 +219,7 @@ def test_each_loss_reaches_its_own_network_and_targets_carry_no_gradient():
     rows = next(iter(ppo.minibatches(transitions, *rows_of(agent), args)))
     assert not any(x.requires_grad for x in rows)
     states, latents, old_log_probs, old_values, advantages, returns = rows
-    ratio = (agent["policy"](states).log_prob(latents).sum(-1) - old_log_probs).exp()
+    ratio = (log_prob(agent, states, latents) - old_log_probs).exp()
     losses = {
         "policy": ppo.policy_loss(ratio, advantages, 0.2),
         "critic": ppo.value_loss(agent["critic"](states), old_values, returns, 0.2),
@@ -229,9 +243,9 @@ def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
 
 def test_logged_entropy_and_std_are_those_of_the_latents():
     args, agent, transitions, _ = play(options="--log-std 0.3")
-    distribution = agent["policy"](transitions["states"][0, :1])
-    u = distribution.sample((200_000,))
-    entropy = -distribution.log_prob(u).sum(-1).mean().item()
+    mean, log_std = agent["policy"](transitions["states"][0, :1])
+    u = Normal(mean, log_std.exp()).sample((200_000,))
+    entropy = -ppo.gaussian_log_prob(u, mean, log_std).mean().item()
     metrics = ppo.optimise(agent, adam(agent, lr=0), transitions, args)
     assert metrics["entropy"] == pytest.approx(entropy, abs=0.01)
     assert metrics["policy_std"] == pytest.approx(math.exp(0.3))
@@ -254,9 +268,9 @@ def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
         torch.manual_seed(0)
         args, agent, transitions, _ = play("Target", f"--epochs 20 --target-kl {target_kl}")
         states, latents = transitions["states"].flatten(0, 1), transitions["samples"].flatten(0, 1)
-        old = agent["policy"](states).log_prob(latents).sum(-1).detach()
+        old = log_prob(agent, states, latents).detach()
         ppo.optimise(agent, adam(agent, lr=3e-3), transitions, args)
-        log_ratio = agent["policy"](states).log_prob(latents).sum(-1) - old
+        log_ratio = log_prob(agent, states, latents) - old
         moved.append(ppo.approximate_kl(log_ratio).item())
     assert moved[1] < 0.03 < moved[0]
 
@@ -288,9 +302,7 @@ def test_rows_of_a_minibatch_belong_together():
         torch.testing.assert_close(returns, states.sum(-1) + latents.sum(-1))
         torch.testing.assert_close(old_values, agent["critic"](states))
         torch.testing.assert_close(advantages, returns - old_values)
-        torch.testing.assert_close(
-            old_log_probs, agent["policy"](states).log_prob(latents).sum(-1)
-        )
+        torch.testing.assert_close(old_log_probs, log_prob(agent, states, latents))
 
 
 def test_parameters_stay_finite_when_the_batch_is_no_multiple_of_the_minibatch():
@@ -355,7 +367,7 @@ def test_all_environments_share_one_set_of_statistics():
 
 
 def test_rewards_are_divided_by_the_std_of_the_discounted_return_so_far():
-    norm, carry, seen = ppo.RunningNorm(()), torch.zeros(3), []
+    norm, carry, seen = ppo.RunningNorm(()), 0.0, []
     G = np.zeros(3)
     for _ in range(4):  # several rollouts, over which G and the statistics go on
         rewards, done = torch.randn(10, 3), torch.rand(10, 3) < 0.2
@@ -392,7 +404,7 @@ def test_no_environment_gets_an_action_out_of_bounds_though_latents_may_be(squas
 def test_deterministic_actions_are_those_of_the_mean():
     _, _, obs, agent = make()
     latents, actions = agent["policy"].act(obs, deterministic=True)
-    np.testing.assert_array_equal(latents, agent["policy"](torch.as_tensor(obs)).mean.detach())
+    np.testing.assert_array_equal(latents, agent["policy"](torch.as_tensor(obs))[0].detach())
     np.testing.assert_array_equal(actions, agent["policy"].bound(torch.as_tensor(latents)))
     sampled, _ = agent["policy"].act(obs)
     assert len(np.unique(sampled - latents)) == latents.size  # each has its own noise
