@@ -23,7 +23,7 @@ a = g(u), within its bounds, and returns a reward r; the critic V(s) predicts th
 rewards to come. What turns out better than V foresaw is made more likely (reinforce_mujoco.py says
 why that makes returns grow):
   1. Play T steps in N environments with π, from now on π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t)
-  2. Divide r by the running std of G_t = r_t + γ·G_{t−1}, which starts anew in each episode.
+  2. Divide r by the running std of G_t = r_t + γ·G_{t−1}, where each episode begins with G = 0.
   Several times:
   3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
   4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
@@ -32,8 +32,11 @@ why that makes returns grow):
   6.     Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π)
   7. Update the mean and variance that normalise s, lower the learning rate, go to 1.
 terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
-With λ = 0, A = δ: little noise, but wrong where V is. With λ = 1, A is the sum of all rewards to
-come, minus V: right on average, but noisy.
+With λ = 0, A = δ: little noise, but wrong where V is. With λ = 1, A is the discounted sum of the
+rewards that followed, minus V: noisy, but V can be wrong only where it stands for rewards that were
+cut off.
+At π = π_old the gradient of E[ρ·A] is E[A·∇log π], that of A2C. Further away the samples of π_old
+tell less and less about π, however often they are used: hence 5, and the clipping in 6.
 
 = A2C (a2c_vector.py) plus: several epochs of minibatches per rollout, the KL limit (5), the clipped
 objective (6). Unlike [1], each epoch repeats 3 and 4 with the critic as it is by then ([6]). What
@@ -91,7 +94,7 @@ class CheckedEnv(gym.Wrapper):
         self.index, self.steps = index, 0
 
     def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # a sum is finite if all parts are
+        if not math.isfinite(np.dot(obs, obs) + reward):  # finite only if every part is
             raise FloatingPointError("it returned NaN or infinity")
 
     def fail(self, error):
@@ -279,14 +282,15 @@ def scale_rewards(rewards, done, carry, reward_norm, gamma):
     """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
 
     G looks back, unlike what V predicts, so it is known at once, and over many steps it spreads
-    about as widely. It only serves to find the scale: what is subtracted would change the task.
+    about as widely as what V has to predict. Rewards are only divided: to subtract their mean would
+    make long episodes better or worse than they are.
     `carry` (N,), γ·G from the rollout before (0 before the first), is returned for the next one.
     """
-    scales, done = rewards.cpu().numpy().copy(), done.cpu().numpy()  # fast for small rows
-    for t in range(len(scales)):
-        scales[t] += carry
-        carry = gamma * np.where(done[t], 0, scales[t])
-    reward_norm.update(torch.as_tensor(scales.flatten(), device=rewards.device))
+    past_returns, done = rewards.cpu().numpy().copy(), done.cpu().numpy()  # faster, as below
+    for t in range(len(done)):
+        past_returns[t] += carry
+        carry = gamma * np.where(done[t], 0, past_returns[t])
+    reward_norm.update(torch.as_tensor(past_returns.flatten(), device=rewards.device))
     return rewards / reward_norm.var.sqrt(), carry
 
 
@@ -311,7 +315,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]; (M,) each ([1] eq. 7).
 
-    ρ gains nothing above 1 + ε where A > 0, and nothing below 1 − ε where A < 0; the way back pays.
+    Where A > 0 the gradient is 0 once ρ > 1 + ε, where A < 0 once ρ < 1 − ε: nothing is gained by
+    going further. Where ρ went the wrong way, min takes the term that leads back.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -341,8 +346,9 @@ def approximate_kl(log_ratio):
 def minibatches(transitions, policy, critic, args):
     """Yields minibatches of at least `minibatch_size` rows, each row once an epoch; tensors (M, …).
 
-    A generator: what stands in the loop runs after the caller has learned from the epoch before, so
-    each epoch takes its advantages from the critic as it is by then.
+    A generator: what stands in the loop runs after the caller has learned from the epoch before
+    (with gradients: no_grad pauses at each yield), so each epoch takes its advantages from the
+    critic as it is by then.
     """
     states, latents, rewards, next_states, terminated, done = transitions.values()
     old_log_probs = gaussian_log_prob(latents, *policy(states))
@@ -390,6 +396,8 @@ def optimise(agent, optimizer, transitions, args):
 
 def train(args, seed, folder, stop, bar_position=0):
     """Train one seed into `folder`, new or resumed, until done or the file `stop` exists."""
+    if stop.exists():
+        return  # Ctrl-C came before it was this seed's turn
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
@@ -537,7 +545,7 @@ def plot(folder):
 
 def versions():
     """What a number depends on besides the seed."""
-    names = ("torch", "gymnasium", "mujoco", "numpy")
+    names = ("torch", "gymnasium", "mujoco", "box2d", "numpy")
     return {name: importlib.metadata.version(name) for name in names}
 
 
@@ -559,7 +567,10 @@ def save_checkpoint(folder, args, seed, **state):
 
 
 def restore(args, folder, agent, optimizer):
-    """Go back to a checkpoint, CSV files too; returns its updates, seconds, last evaluation."""
+    """Go back to a checkpoint, CSV files too; returns its updates, seconds, last evaluation.
+
+    The environments start anew: the episodes that were going on then are lost.
+    """
     checkpoint = torch.load(args.resume, args.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])
@@ -627,7 +638,8 @@ def parse_and_check(parser, argv):
             f"flat observations, not {obs}")
     require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
     folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
-    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    writable = folder.is_dir() and os.access(folder, os.W_OK)
+    require("out_dir", args.watch or writable, "a folder to write to")
     return args, env, require
 
 
@@ -703,7 +715,7 @@ def train_seeds(args, folder):
     finally:
         if any(folder.glob("*/evals.csv")):
             plot(folder)
-        print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+        print("", *sorted(folder.glob("*/checkpoint.pt")), *folder.glob("*.png"), sep="\n")
         stop.unlink(missing_ok=True)
 
 

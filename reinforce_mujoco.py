@@ -98,7 +98,7 @@ class CheckedEnv(gym.Wrapper):
         self.index, self.steps = index, 0
 
     def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # a sum is finite if all parts are
+        if not math.isfinite(np.dot(obs, obs) + reward):  # finite only if every part is
             raise FloatingPointError("it returned NaN or infinity")
 
     def fail(self, error):
@@ -234,6 +234,8 @@ def sample_episode(env, policy):
 
 def train(args, seed, folder, stop, bar_position=0):
     """Train one seed into `folder`, until done or the file `stop` exists."""
+    if stop.exists():
+        return  # Ctrl-C came before it was this seed's turn
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     folder.mkdir(exist_ok=True)
@@ -383,7 +385,7 @@ def plot(folder):
 
 def versions():
     """What a number depends on besides the seed."""
-    names = ("torch", "gymnasium", "mujoco", "numpy")
+    names = ("torch", "gymnasium", "mujoco", "box2d", "numpy")
     return {name: importlib.metadata.version(name) for name in names}
 
 
@@ -462,7 +464,8 @@ def parse_and_check(parser, argv):
             f"flat observations, not {obs}")
     require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
     folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
-    require("out_dir", folder.is_dir() and os.access(folder, os.W_OK), "a folder to write to")
+    writable = folder.is_dir() and os.access(folder, os.W_OK)
+    require("out_dir", args.watch or writable, "a folder to write to")
     return args, env, require
 
 
@@ -523,7 +526,7 @@ def train_seeds(args, folder):
     finally:
         if any(folder.glob("*/evals.csv")):
             plot(folder)
-        print("", *folder.glob("*/checkpoint.pt"), *folder.glob("*.png"), sep="\n")
+        print("", *sorted(folder.glob("*/checkpoint.pt")), *folder.glob("*.png"), sep="\n")
         stop.unlink(missing_ok=True)
 
 

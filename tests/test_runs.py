@@ -147,7 +147,7 @@ def test_args_json_and_summary_json_say_what_was_run(script, folder):
     assert (args["seed"], summary["seed"], summary["script"]) == ([3], 3, script.name)
     assert set(vars(script.module.parse_args(script.short))) < set(args)
     assert "--total-steps" in args["command"]
-    assert {"torch", "gymnasium", "mujoco", "numpy"} <= set(args["versions"])
+    assert {"torch", "gymnasium", "mujoco", "box2d", "numpy"} <= set(args["versions"])
     assert args["versions"] == summary["versions"]
     steps = pd.read_csv(folder / "seed-3/metrics.csv")["env_step"].iloc[-1]
     assert summary["env_steps"] == steps
@@ -276,6 +276,13 @@ def test_ctrl_c_ends_after_the_current_update_with_every_file(script, interrupte
     assert (interrupted / "seed-1/checkpoint.pt").exists()
 
 
+def test_ctrl_c_before_its_turn_leaves_a_seed_out(script, tmp_path):
+    stop, args = tmp_path / "stop", script.module.parse_args(script.three_steps)
+    stop.touch()
+    script.module.train(args, 1, tmp_path / "seed-1", stop)
+    assert list(tmp_path.iterdir()) == [stop]
+
+
 @pytest.mark.parametrize("during", ["evaluate", "save_checkpoint"])
 def test_ctrl_c_at_any_moment_of_an_update_is_followed_by_an_evaluation(
     script, during, tmp_path, monkeypatch
@@ -395,11 +402,12 @@ def test_watching_without_a_display_makes_a_gif(script, checkpoint, tmp_path):
     if script is not A2C and not ctypes.util.find_library("EGL"):
         pytest.skip("no EGL here")
     before = checkpoint.read_bytes()
+    (tmp_path / "runs").touch()  # no run folder could be made here, and none is needed
     process = run(script.file, "--watch", checkpoint, cwd=tmp_path)
     assert re.search(r"return [\d.]+ in \d+ steps", process.out)
     with Image.open(checkpoint.with_suffix(".gif")) as gif:
         assert gif.n_frames > 1
-    assert {p.name for p in tmp_path.iterdir()} == {"checkpoint.pt", "checkpoint.gif"}
+    assert {p.name for p in tmp_path.iterdir()} == {"checkpoint.pt", "checkpoint.gif", "runs"}
     assert checkpoint.read_bytes() == before
 
 
