@@ -524,9 +524,12 @@ def plot(folder):
 
 
 def versions():
-    """What a number depends on besides the seed."""
-    names = ("torch", "gymnasium", "mujoco", "box2d", "numpy")
-    return {name: importlib.metadata.version(name) for name in names}
+    """What a number depends on besides the seed; what is not installed is left out."""
+    found = {}
+    for name in ("torch", "gymnasium", "mujoco", "box2d", "numpy"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = importlib.metadata.version(name)
+    return found
 
 
 def append_rows(path, columns, rows):

@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import ctypes.util
+import importlib.metadata
 import json
 import math
 import pickle
@@ -193,6 +194,20 @@ def test_observations_may_be_integers(script, tmp_path):
     args = script.module.parse_args([*script.small, "--env-id", world, "--total-steps", "256"])
     script.module.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
     assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] == 3
+
+
+def test_a_package_that_is_not_installed_is_left_out_of_the_versions(script, monkeypatch):
+    version = importlib.metadata.version
+
+    def without_box2d(name):
+        if name == "box2d":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version(name)
+
+    everything = script.module.versions()
+    monkeypatch.setattr(importlib.metadata, "version", without_box2d)
+    assert script.module.versions() == {k: x for k, x in everything.items() if k != "box2d"}
+    assert "box2d" in everything
 
 
 # --- Seeds ----------------------------------------------------------------------------------------
