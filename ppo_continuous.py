@@ -1,64 +1,68 @@
 # /// script
-# requires-python = ">=3.10"
+# requires-python = ">=3.10,<3.14"
 # dependencies = [
 #     "torch>=2.6,<2.14",
-#     "gymnasium[mujoco,box2d]>=1.4,<1.5",
+#     "gymnasium[mujoco]>=1.4,<1.5",
 #     "mujoco>=3.1,<3.16",
 #     "numpy>=1.26",
 #     "pandas>=2.2",
 #     "seaborn>=0.13.2",
 #     "matplotlib>=3.8",
+#     "pillow>=10",
 #     "tqdm>=4.66",
 # ]
 # ///
-"""PPO for continuous control: proximal policy optimisation, in one file.
+"""PPO: proximal policy optimisation for continuous actions, in one file.
 
-Learns:   InvertedDoublePendulum-v5 in 151,552 steps: 9322 to 9326 of about 9350 points with the
-          seeds 1 to 5 (deterministic, 10 episodes each), 20 seconds a seed, two at a time on a
-          2-core AMD EPYC; Python 3.11, torch 2.13, Gymnasium 1.4, MuJoCo 3.15.
-Command:  python ppo_continuous.py --seed 1 2 3 4 5
+It learns to balance a double pendulum: 9,300 of 9,350 points after 150,000 steps, half a minute.
 
-The algorithm. For a state s the policy π draws a Gaussian sample u, the environment gets the action
-a = g(u), within its bounds, and returns a reward r; the critic V(s) predicts the discounted sum of
-rewards to come. What turns out better than V foresaw is made more likely (reinforce_mujoco.py says
-why that makes returns grow):
-  1. Play T steps in N environments with π, from now on π_old:  u_t ~ N(μ(s_t), σ²),  a_t = g(u_t)
-  2. Divide r by the running std of G_t = r_t + γ·G_{t−1}, where each episode begins with G = 0.
-  Several times:
-  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)   what a step gave beyond what V foresaw
-  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, critic's target
-       For each minibatch, A standardised, with the ratio ρ = π(u|s) / π_old(u|s):
-  5.     end the update if π is too far from π_old:  KL ≈ E[ρ − 1 − log ρ] > 1.5·target_kl
-  6.     Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·E[(V(s) − R)²] − c_H·H(π)
-  7. Update the mean and variance that normalise s, lower the learning rate, go to 1.
-terminated: an end for good; done: any end. At a mere time limit more reward could have followed.
-With λ = 0, A = δ: little noise, but wrong where V is. With λ = 1, A is the discounted sum of the
-rewards that followed, minus V: noisy, but V can be wrong only where it stands for rewards that were
-cut off.
-At π = π_old the gradient of E[ρ·A] is E[A·∇log π], that of A2C. Further away the samples of π_old
-tell less and less about π: hence 5, and the clipping in 6.
+    python ppo_continuous.py --seed 1 2 3 4 5
 
-= A2C (a2c_vector.py) plus: several epochs of minibatches per rollout, the KL limit (5), the clipped
-objective (6). Unlike [1], each epoch repeats 3 and 4 with the critic as it is by then ([6]). What
-else is new: actions are continuous (1), the scale of the rewards is found while learning (2).
-Left out on purpose: recurrent or shared networks, images, discrete actions, logging services.
+An agent sees a state s, acts, gets a reward r and sees the next state, until the episode ends. It
+learns two things. The actor π(u|s) is a probability density over actions. The critic V(s) predicts
+the discounted sum of the rewards that will follow s, if π goes on.
+  1. Play T steps in N environments with π, called π_old from now on: draw u_t ~ N(μ(s_t), σ²).
+     The environment gets the action a_t = g(u_t); g squeezes u into the bounds of the actions.
+  2. Divide the rewards by a running standard deviation, so that V predicts numbers of size 1.
+  For several epochs, each a pass over all T·N steps:
+  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
+  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, target of the critic
+       For each minibatch, a random share of the steps, with the ratio ρ = π(u|s) / π_old(u|s):
+  5.     If π is too far from π_old, KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] > max_kl, end all epochs.
+  6.     A step of Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·½·E[(V(s) − R)²] − c_H·H,
+         with A standardised (mean 0, standard deviation 1) and the gradient shortened if too long.
+  7. Update the mean and variance that normalise s. Lower the learning rate. Go to 1.
 
-Symbols:     γ discount, λ trust in rewards (1) against V (0), ε clip range, H entropy.
-Shapes:      T steps, N environments, B = T·N rows, M rows in a minibatch, D dimensions of a state,
-             K dimensions of an action.
-Units:       raw rewards in all returns (not in value_loss: step 2); environment steps; seconds.
-References:  [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
-             [2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized
-             Advantage Estimation. [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
-             [4] Schulman 2020, Approximating KL Divergence. [5] Chan et al. 1979, Updating Formulae
-             and a Pairwise Algorithm for Computing Sample Variances. [6] Andrychowicz et al. 2021,
-             What Matters for On-Policy Deep Actor-Critic Methods?
+Why it works. The aim is a large expected return E[G] = ∫π·G, where G is the sum of rewards. Its
+gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which can be estimated from episodes that π played:
+push up the probability of each action by how much followed. Any number that does not depend on the
+action can be subtracted from G, since E[∇log π] = ∫∇π = ∇1 = 0. With V subtracted, an action counts
+by how much better than usual it turned out: the advantage A. So E[A·∇log π] is the direction to go.
+PPO takes many steps on the same data. They begin in this direction, for at π = π_old the gradient
+of E[ρ·A] is E[A·∇log π]. Later the data says less and less about π: 5 and the clip in 6 see to it
+that π does not go far.
+
+terminated: the episode ended for good (the pole fell), so no reward can follow. truncated: it only
+ran out of time. Rewards would have followed, and V(s_{t+1}) stands for them. done: either of them.
+λ trades bias for variance. With λ = 0, A_t = δ_t: little noise, but wrong as far as V is wrong.
+With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): noisy, but right.
+
+= A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
+minibatches, the KL limit (5), the clipped objective (6). Unlike [1], 3 and 4 are done anew in each
+epoch, with the critic as it is by then ([6]). Left out: recurrent networks, images, value clipping.
+
+Symbols: E mean over the steps at hand; γ discount; ε clip range; c_V, c_H weights of the losses;
+    KL(p ‖ q) = E_p[log p − log q], 0 if p = q; H entropy −E[log π], large if π is undecided.
+Shapes: T steps of N environments, M steps in a minibatch, D numbers in a state, K in an action.
+Units: returns in files and figures are sums of raw rewards; environment steps; seconds.
+References: [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al.
+    2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
+    al. 2018, Time Limits in Reinforcement Learning. [4] Schulman 2020, Approximating KL Divergence.
+    [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances.
+    [6] Andrychowicz et al. 2021, What Matters for On-Policy Deep Actor-Critic Methods?
 """
 
 import argparse
-import contextlib
-import csv
-import importlib.metadata
 import json
 import math
 import multiprocessing
@@ -66,7 +70,7 @@ import os
 import signal
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, wait
 from datetime import datetime
 from pathlib import Path
 
@@ -76,85 +80,70 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
 
-SCRIPT = Path(__file__).stem
+# --- Arguments ------------------------------------------------------------------------------------
 
 
-# --- Environment ----------------------------------------------------------------------------------
+def parse_args(argv=None):
+    """Every knob: its name, its default, its meaning, its symbol."""
+    style = argparse.ArgumentDefaultsHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0], formatter_class=style)
+    devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
+    add = parser.add_argument_group("run").add_argument
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
+    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments together")
+    add("--device", choices=devices, default="cpu", help="where the networks are computed")
+    add("--out-dir", default="runs", help="folder in which the folder of this run is made")
+    add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
+    add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
+    add = parser.add_argument_group("environment").add_argument
+    add("--env-id", default="InvertedDoublePendulum-v5", help="any id, also my_module:MyEnv-v0")
+    add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
+    add = parser.add_argument_group("algorithm").add_argument
+    add("--rollout-steps", type=number(int, 1), default=128, help="steps of each in a rollout, T")
+    add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
+    add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch, M")
+    add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam at first; falls to 0")
+    add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="bias (0) to variance (1), λ")
+    add("--clip-eps", type=number(float, 0), default=0.2, help="how far the ratio may go from 1, ε")
+    add("--target-kl", type=number(float, 0), default=0.02, help="1.5 times it ends an update; 0: no limit")
+    add("--value-coef", type=number(float, 0), default=0.5, help="weight of the critic's loss, c_V")
+    add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
+    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
+    add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; that of μ is 1")
+    add("--squash", choices=("tanh", "clip"), default="tanh", help="how actions are bounded, g")
+    add = parser.add_argument_group("evaluation").add_argument
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one before it all")
+    add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
+    return check(parser, argv)
 
 
-class CheckedEnv(gym.Wrapper):
-    """Says which environment failed, and when; sums up each episode in its last info."""
-
-    def __init__(self, env, index):
-        super().__init__(env)
-        self.index, self.steps = index, 0
-
-    def check(self, obs, reward=0.0):
-        if not math.isfinite(np.dot(obs, obs) + reward):  # finite only if every part is
-            raise FloatingPointError("it returned NaN or infinity")
-
-    def fail(self, error):
-        at = f"environment {self.index}, at its step {self.steps}"
-        raise gym.error.Error(f"{at}: {error!r}") from error
-
-    def reset(self, **options):
-        self.episode_return, self.episode_start = 0.0, self.steps
-        try:
-            obs, _ = self.env.reset(**options)
-            self.check(obs)
-        except Exception as error:
-            self.fail(error)
-        return obs, {}
-
-    def step(self, action):
-        self.steps += 1
-        try:
-            obs, reward, terminated, truncated, _ = self.env.step(action)
-            self.check(obs, reward)
-        except Exception as error:
-            self.fail(error)
-        self.episode_return += float(reward)
-        ended = terminated or truncated
-        row = self.episode_return, self.steps - self.episode_start
-        return obs, reward, terminated, truncated, {"episode": row} if ended else {}
-
-
-def make_envs(env_id, num_envs):
-    """N environments, stepped together; whichever ends restarts within the same step."""
-    makers = [lambda i=i: CheckedEnv(gym.make(env_id), i) for i in range(num_envs)]
-    return gym.vector.SyncVectorEnv(makers, autoreset_mode=gym.vector.AutoresetMode.SAME_STEP)
-
-
-def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
-
-    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at update k.
-    """
-    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
-
-
-# --- Networks -------------------------------------------------------------------------------------
+# --- Agent ----------------------------------------------------------------------------------------
 
 
 class RunningNorm(nn.Module):
     """(x − mean) / √var, clipped, with the mean and variance of all rows that `update` was given.
 
-    They are buffers: a checkpoint carries them, and nothing but `update` changes them.
+    Both are buffers: they are saved with the weights, and nothing but `update` changes them. At
+    first they are 0 and 1: the first rollout is played with states that are not normalised.
     """
 
-    def __init__(self, shape, clip=10.0):
+    def __init__(self, shape):
         super().__init__()
-        self.clip = clip
         self.register_buffer("mean", torch.zeros(shape))
         self.register_buffer("var", torch.ones(shape))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def forward(self, x):
-        return ((x - self.mean) / self.var.sqrt()).clamp(-self.clip, self.clip)
+        return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
         """Pool `rows` (B, …) with all earlier ones ([5])."""
@@ -167,8 +156,12 @@ class RunningNorm(nn.Module):
         self.count += len(rows)
 
 
-def mlp(inputs, hidden, outputs, output_gain, activation):
-    """Two hidden layers and a linear one, orthogonal weights, zero biases."""
+def mlp(inputs, hidden, outputs, activation, output_gain):
+    """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
+
+    The gain √2 keeps the signal's size through a ReLU, and does no harm with tanh. With an output
+    gain of 0.01 all actions start alike in all states, so that none has to be unlearned.
+    """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -176,163 +169,155 @@ def mlp(inputs, hidden, outputs, output_gain, activation):
     return nn.Sequential(layers[0], activation(), layers[1], activation(), layers[2])
 
 
-class Policy(nn.Module):
-    """π(u|s) = N(μ(s), σ²) over the latent action u (…, K); the environment gets a = g(u).
+class Agent(nn.Module):
+    """The actor π(u|s) = N(μ(s), σ²), the critic V(s), and the statistics that normalise.
 
-    To PPO, g is a part of the environment: it needs π of u only. (The density of a = tanh(u) has
-    one more factor, the same for π and π_old, which cancels in ρ. An entropy bonus does differ: H
-    is that of u.)
-
-    log σ = std_speed·parameter, the same in every state: Adam moves each parameter by about the
-    learning rate, so with std_speed < 1 exploration outlives the first success.
+    σ (K,) is the same in every state. log σ is std_speed times a parameter: Adam moves a parameter
+    by about the learning rate, however long its gradient, so with std_speed < 1 σ changes slowly,
+    and exploring goes on after the first success.
     """
 
-    def __init__(self, norm, action_space, hidden, log_std, std_speed, squash):
+    def __init__(self, observation_space, action_space, args):
         super().__init__()
-        self.norm, self.std_speed, self.squash = norm, std_speed, squash
-        self.mean_net = mlp(len(norm.mean), hidden, action_space.shape[0], 0.01, nn.Tanh)
-        self.slow_log_std = nn.Parameter(torch.full(action_space.shape, log_std / std_speed))
+        inputs, outputs = observation_space.shape[0], action_space.shape[0]
+        self.norm = RunningNorm(observation_space.shape)
+        self.actor = mlp(inputs, args.hidden_size, outputs, nn.Tanh, output_gain=0.01)
+        self.critic = mlp(inputs, args.hidden_size, 1, nn.Tanh, output_gain=1.0)
+        self.reward_norm = RunningNorm(())
+        self.squash, self.std_speed = args.squash, args.std_speed
+        self.raw_log_std = nn.Parameter(torch.full((outputs,), args.log_std / args.std_speed))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
-    def forward(self, obs):
+    def policy(self, obs):
         """Observations (…, D) -> μ(s) (…, K) and log σ (K,)."""
-        return self.mean_net(self.norm(obs)), (self.std_speed * self.slow_log_std).clamp(-10, 2)
+        return self.actor(self.norm(obs)), (self.std_speed * self.raw_log_std).clamp(-10, 2)
 
-    def bound(self, latents):
-        """a = g(u): to [−1, 1] by tanh or by clipping, then stretched over [low, high]."""
-        unit = torch.tanh(latents) if self.squash == "tanh" else latents.clamp(-1, 1)
+    def value(self, obs):
+        """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
+        return self.critic(self.norm(obs)).squeeze(-1)
+
+    def bound(self, samples):
+        """a = g(u): u (…, K) to [−1, 1] by tanh or by clipping, then stretched over [low, high].
+
+        For PPO, g is a part of the environment: it only asks for the density of u. (The density of
+        a = g(u) has one more factor. It is the same for π and π_old, so it cancels in the ratio.)
+        """
+        unit = torch.tanh(samples) if self.squash == "tanh" else samples.clamp(-1, 1)
         return torch.lerp(self.low, self.high, (unit + 1) / 2)
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy latents u = μ + σ·ε (N, K), ε ~ N(0, 1), and actions a (N, K).
-
-        deterministic: u = μ(s).
-        """
-        mean, log_std = self(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        latents = mean if deterministic else mean + log_std.exp() * torch.randn_like(mean)
-        return latents.cpu().numpy(), self.bound(latents).cpu().numpy()
+        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a (N, K)."""
+        obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
+        mean, log_std = self.policy(obs)
+        samples = mean if deterministic else mean + log_std.exp() * torch.randn_like(mean)
+        return samples.cpu().numpy(), self.bound(samples).cpu().numpy()
 
 
-def gaussian_log_prob(latents, mean, log_std):
+def gaussian_log_prob(samples, mean, log_std):
     """log N(u; μ, σ²) = −Σ_k [((u_k − μ_k)/σ_k)²/2 + log σ_k + log(2π)/2]; u (…, K) -> (…,)."""
-    squares = ((latents - mean) / log_std.exp()) ** 2
+    squares = ((samples - mean) / log_std.exp()) ** 2
     return -squares.sum(-1) / 2 - (log_std + math.log(2 * math.pi) / 2).sum()
 
 
 def gaussian_entropy(log_std):
-    """H = −E[log N(u; μ, σ²)] = Σ_k [log σ_k + log(2πe)/2], wherever μ is."""
+    """H = −E[log N(u; μ, σ²)] = Σ_k [log σ_k + log(2πe)/2], whatever μ is."""
     return (log_std + math.log(2 * math.pi * math.e) / 2).sum()
-
-
-class Critic(nn.Module):
-    """V(s), the expected discounted sum of scaled rewards: (…, D) -> (…,)."""
-
-    def __init__(self, norm, hidden, activation):
-        super().__init__()
-        self.norm = norm
-        self.value = mlp(len(norm.mean), hidden, 1, 1.0, activation)
-
-    def forward(self, obs):
-        return self.value(self.norm(obs)).squeeze(-1)
-
-
-def make_agent(args, env):
-    """Policy, critic, all statistics as one module: its state_dict is all that acting needs."""
-    norm = RunningNorm(env.observation_space.shape)
-    policy = Policy(norm, env.action_space, args.hidden_size, args.log_std,
-                    args.std_speed, args.squash)
-    critic = Critic(norm, args.hidden_size, nn.Tanh)
-    agent = {"policy": policy, "critic": critic, "reward_norm": RunningNorm(())}
-    return nn.ModuleDict(agent).to(args.device)
 
 
 # --- Rollout --------------------------------------------------------------------------------------
 
 
-def rollout(envs, policy, obs, num_steps, env_step):
-    """Play `num_steps` steps in each environment, from observations `obs` (N, D) and `env_step` on.
+def rollout(envs, agent, obs, num_steps, env_step):
+    """Step 1: `num_steps` steps in each environment, from observations `obs` (N, D) on.
 
-    Returns the real transitions, a dict of tensors (T, N, …), with the policy's samples rather than
-    what the environments made of them; the observations to go on from; and a row (env_step, return,
-    length, …) for each episode that ended.
+    Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
+    for each episode that ended. `env_step`: the steps of all environments before this rollout.
+
+    An environment whose episode ends starts the next one within the same step: new_obs[i] is the
+    first observation of the next episode, and the last one of this episode is in infos. So next_obs
+    is always of the same episode as obs.
     """
-    transitions, episodes = [], []
+    steps, episodes = [], []
     for _ in range(num_steps):
-        samples, actions = policy.act(obs)
+        samples, actions = agent.act(obs)
         new_obs, rewards, terminated, truncated, infos = envs.step(actions)
-        env_step, done, next_obs = env_step + len(obs), terminated | truncated, new_obs.copy()
-        for i in np.flatnonzero(done):  # there new_obs[i] begins the next episode
+        env_step += len(obs)
+        done = terminated | truncated
+        next_obs = new_obs.copy()
+        for i in np.flatnonzero(done):
             next_obs[i] = infos["final_obs"][i]
-            episodes.append((env_step, *infos["final_info"]["episode"][i]))
-        transitions.append((obs, samples, rewards, next_obs, terminated, done))
+            ended = infos["final_info"]["episode"]
+            episodes.append({"env_step": env_step, "return": float(ended["r"][i]),
+                             "length": int(ended["l"][i])})
+        check_finite(env_step // len(obs), rewards, next_obs, new_obs)
+        steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
+                      "terminated": terminated, "done": done})
         obs = new_obs
-    device = policy.norm.mean.device
-    columns = [torch.as_tensor(np.stack(x)) for x in zip(*transitions)]
-    columns = [(x.float() if x.is_floating_point() else x).to(device) for x in columns]
-    names = "states", "samples", "rewards", "next_states", "terminated", "done"
-    return dict(zip(names, columns)), obs, episodes
+    batch = {}
+    for name in steps[0]:
+        column = torch.as_tensor(np.stack([step[name] for step in steps]))
+        column = column.float() if column.is_floating_point() else column
+        batch[name] = column.to(agent.norm.mean.device)
+    return batch, obs, episodes
 
 
 # --- Returns and advantages -----------------------------------------------------------------------
 
 
-def scale_rewards(rewards, done, carry, reward_norm, gamma):
-    """Rewards (T, N) over the running std of G_t = r_t + γ·G_{t−1}, with G = 0 before an episode.
+def scale_rewards(rewards, done, past_return, reward_norm, gamma):
+    """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
-    G looks back, unlike what V predicts, so it is known at once, and over many steps it spreads
-    about as widely as what V has to predict. Rewards are only divided: to subtract their mean would
-    make long episodes better or worse than they are.
-    `carry` (N,), γ·G from the rollout before (0 before the first), is returned for the next one.
+    F, the discounted sum of an episode's rewards so far, varies about as much as the discounted sum
+    of those to come, which V predicts, and unlike it F is known at once. Rewards are not centred:
+    without their mean, long episodes would be worth more or less than they are.
+    `past_return` (N,) is F of the last step of the rollout before, 0 after an episode's end; that
+    of this rollout is returned for the next one.
     """
-    # In NumPy, which is faster than tensors for small rows.
-    past_returns, done = rewards.cpu().numpy().copy(), done.cpu().numpy()
-    for t in range(len(done)):
-        past_returns[t] += carry
-        carry = gamma * np.where(done[t], 0, past_returns[t])
+    rewards_by_step, done = rewards.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
+    past_returns = np.empty_like(rewards_by_step)
+    for t in range(len(rewards_by_step)):
+        past_returns[t] = rewards_by_step[t] + gamma * past_return
+        past_return = np.where(done[t], 0, past_returns[t])
     reward_norm.update(torch.as_tensor(past_returns.flatten(), device=rewards.device))
-    return rewards / reward_norm.var.sqrt(), carry
+    return rewards / reward_norm.var.sqrt(), past_return
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
-    """Generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
+    """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
     A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
+    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode. After
+    the last step of the rollout A_{t+1} = 0, and V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
-    deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than tensors for small rows
-    advantages, advantage = np.empty_like(deltas), np.zeros_like(deltas[0])
+    deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
+    advantages = np.empty_like(deltas)
+    advantage = np.zeros_like(deltas[0])
     for t in reversed(range(len(deltas))):
         advantage = deltas[t] + gamma * gae_lambda * np.where(done[t], 0, advantage)  # step 4
         advantages[t] = advantage
     return torch.as_tensor(advantages, device=rewards.device)
 
 
-# --- Loss -----------------------------------------------------------------------------------------
+# --- Losses ---------------------------------------------------------------------------------------
 
 
 def policy_loss(ratio, advantages, clip_eps):
     """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]; (M,) each ([1] eq. 7).
 
     Where A > 0 the gradient is 0 once ρ > 1 + ε, where A < 0 once ρ < 1 − ε: nothing is gained by
-    going further. Where ρ went the wrong way, min takes the term that leads back.
+    going further. Where ρ went the wrong way, min takes the term that leads back: with ε = 0.2,
+    ρ = 0.5 and A = 1 it is min(0.5, 0.8) = 0.5, which has a gradient.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
 
 
-def value_loss(values, old_values, targets, clip_eps):
-    """E[(V − R)²]; with ε > 0 the larger of it and that of V within ±ε of V_old.
-
-    (M,) each; V_old is V as it was when the epoch began.
-    """
-    errors = (values - targets) ** 2
-    if clip_eps > 0:
-        clipped_values = old_values + (values - old_values).clamp(-clip_eps, clip_eps)
-        errors = torch.max(errors, (clipped_values - targets) ** 2)
-    return errors.mean()
+def value_loss(values, targets):
+    """E[(V − R)²]; (M,) each. The targets R are data: no gradient goes through them."""
+    return ((values - targets) ** 2).mean()
 
 
 def approximate_kl(log_ratio):
@@ -340,397 +325,381 @@ def approximate_kl(log_ratio):
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) = exp(x) − 1, exact near 0
 
 
-# --- Training -------------------------------------------------------------------------------------
+# --- Update ---------------------------------------------------------------------------------------
 
 
-@torch.no_grad()  # advantages and targets are data: no gradient goes through them
-def minibatches(transitions, policy, critic, args):
-    """Yields minibatches of at least `minibatch_size` rows, each row once an epoch; tensors (M, …).
-
-    A generator: what stands in the loop runs after the caller has learned from the epoch before
-    (with gradients: no_grad pauses at each yield), so each epoch takes its advantages from the
-    critic as it is by then.
-    """
-    states, latents, rewards, next_states, terminated, done = transitions.values()
-    old_log_probs = gaussian_log_prob(latents, *policy(states))
+def optimise(agent, optimizer, batch, args):
+    """Steps 3 to 6. Returns the diagnostics: means over the minibatches that were learned from."""
+    obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
+    with torch.no_grad():
+        old_log_probs = gaussian_log_prob(samples, *agent.policy(obs))
+    logs = []
     for _ in range(args.epochs):
-        values = critic(torch.cat((states, next_states[-1:])))
-        values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is s_t of the next row,
-        next_values[done] = critic(next_states[done])  # except where an episode ended
-        advantages = compute_gae(rewards, values, next_values, terminated, done,
-                                 args.gamma, args.gae_lambda)
-        batch = states, latents, old_log_probs, values, advantages, advantages + values
-        order = torch.randperm(rewards.numel())
-        parts = len(order) // args.minibatch_size
-        yield from zip(*(x.flatten(0, 1)[order].tensor_split(parts) for x in batch))
+        with torch.no_grad():  # advantages and targets are data: no gradient goes through them
+            values = agent.value(torch.cat((batch["obs"], batch["next_obs"][-1:])))
+            values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's s_t,
+            next_values[batch["done"]] = agent.value(batch["next_obs"][batch["done"]])  # save at ends
+            advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
+                                     batch["done"], args.gamma, args.gae_lambda).flatten()
+            values = values.flatten()
+        targets = advantages + values
+        order = torch.randperm(len(obs))
+        for rows in order.tensor_split(len(order) // args.minibatch_size):
+            mean, log_std = agent.policy(obs[rows])
+            log_ratio = gaussian_log_prob(samples[rows], mean, log_std) - old_log_probs[rows]
+            ratio = log_ratio.exp()  # ρ
+            kl = approximate_kl(log_ratio)
+            if logs and 0 < args.target_kl < kl / 1.5:  # step 5
+                return average(logs)
+            A = (advantages[rows] - advantages[rows].mean()) / (advantages[rows].std() + 1e-8)
+            loss_pi = policy_loss(ratio, A, args.clip_eps)
+            loss_v = value_loss(agent.value(obs[rows]), targets[rows])
+            entropy = gaussian_entropy(log_std)
+            optimizer.zero_grad()
+            (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()
+            grad_norm = nn.utils.clip_grad_norm_(
+                list(agent.parameters()), args.max_grad_norm, error_if_nonfinite=True)
+            optimizer.step()  # step 6
+            logs.append({
+                "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
+                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(),
+                "explained_variance": 1 - (targets[rows] - values[rows]).var() / targets[rows].var(),
+                "grad_norm": grad_norm, "policy_std": log_std.exp().mean()})
+    return average(logs)
 
 
-def optimise(agent, optimizer, transitions, args):
-    """Steps 3 to 6. Returns each diagnostic's mean over the minibatches that were learned from."""
-    policy, critic, logs = agent["policy"], agent["critic"], []
-    parameters = list(agent.parameters())
-    for rows in minibatches(transitions, policy, critic, args):
-        states, latents, old_log_probs, old_values, advantages, targets = rows
-        mean, log_std = policy(states)
-        log_probs = gaussian_log_prob(latents, mean, log_std)
-        log_ratio = log_probs - old_log_probs  # 0 until the first step
-        ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
-        if logs and 0 < args.target_kl < kl / 1.5:  # step 5
-            break
-        advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
-        loss_pi = policy_loss(ratio, advantages, args.clip_eps)
-        loss_v = value_loss(critic(states), old_values, targets, args.value_clip_eps)
-        entropy = gaussian_entropy(log_std)  # σ is the same in every state: no mean to take
-        optimizer.zero_grad()
-        (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()  # step 6
-        grad_norm = nn.utils.clip_grad_norm_(parameters, args.max_grad_norm)
-        if not grad_norm.isfinite():
-            sys.exit("error: the gradient is not finite; a lower --learning-rate may help")
-        optimizer.step()
-        logs.append({
-            "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
-            "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(),
-            "explained_variance": 1 - (targets - old_values).var() / targets.var(),
-            "grad_norm": grad_norm, "policy_std": log_std.exp().mean()})
+def average(logs):
     return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
 
 
-def train(args, seed, folder, stop, bar_position=0):
-    """Train one seed into `folder`, new or resumed, until done or the file `stop` exists."""
-    if stop.exists():
-        return  # Ctrl-C came before it was this seed's turn
+# --- Training -------------------------------------------------------------------------------------
+
+
+def train(args, seed, folder, position=0):
+    """Train one seed into `folder`; `position` is the line of its progress bar."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
-    folder.mkdir(exist_ok=True)
-    T, N = args.rollout_steps, args.num_envs
-    num_updates = math.ceil(args.total_steps / (T * N))
-    envs, eval_env = make_envs(args.env_id, N), CheckedEnv(gym.make(args.env_id), "of evaluation")
-    agent = make_agent(args, eval_env)
-    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
-    first, seconds, evaluation = 0, 0.0, {}
-    if args.resume:
-        first, seconds, evaluation = restore(args, folder, agent, optimizer)
-    obs, _ = envs.reset(seed=make_seeds(seed, stream=2 + first, count=N))
-    env_step, carry, recent = first * T * N, 0.0, []
-    clock = time.perf_counter()
-    bar = tqdm(range(first, num_updates), f"seed {seed}", num_updates, initial=first, unit="step",
-               unit_scale=T * N, position=bar_position)
-    for update in bar:
-        learning_rate = args.learning_rate * (1 - update / num_updates)  # the end of step 7
-        optimizer.param_groups[0]["lr"] = learning_rate
-        batch, obs, episodes = rollout(envs, agent["policy"], obs, T, env_step)  # step 1
-        batch["rewards"], carry = scale_rewards(
-            batch["rewards"], batch["done"], carry, agent["reward_norm"], args.gamma)  # step 2
+    envs = make_envs(args)
+    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
+    # eps: smaller gradients than 1e-5 move nothing, which is calmer than Adam's usual 1e-8
+    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
+    rates = [group["lr"] for group in optimizer.param_groups]
+    log = Log(args, seed, folder, agent, optimizer, position)
+    obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
+    past_return = 0.0
+    batch_size = args.num_envs * args.rollout_steps
+    num_updates = math.ceil(args.total_steps / batch_size)
+    for update in range(log.env_step // batch_size, num_updates):
+        for group, rate in zip(optimizer.param_groups, rates):
+            group["lr"] = rate * (1 - update / num_updates)  # step 7 of the update before
+        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, log.env_step)  # step 1
+        batch["rewards"], past_return = scale_rewards(
+            batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
         diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 6
-        # Step 7 comes only now: while ρ is computed, π and π_old must see the same inputs.
-        agent["policy"].norm.update(batch["states"].flatten(0, 1))
-        env_step += T * N
-        duration = time.perf_counter() - clock
-        seconds += duration
-        metrics = {"env_step": env_step, **diagnostics, "learning_rate": learning_rate,
-                   "steps_per_second": T * N / duration}
+        # Only now: while ρ is computed, π and π_old must see the same inputs.
+        agent.norm.update(batch["obs"].flatten(0, 1))  # step 7
+        log.update(batch_size, episodes, diagnostics)
+    envs.close()
 
-        stopped = stop.exists()
-        last = stopped or update + 1 == num_updates
-        due = last or args.eval_every and (update + 1) % args.eval_every == 0
-        if due:
-            seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
-            evaluation = evaluate(agent["policy"], eval_env, seeds)
-            append_rows(folder / "evals.csv", ["env_step", *evaluation],
-                        [[env_step, *evaluation.values()]])
-        clock = time.perf_counter()  # evaluation is not training, all else is
-        append_rows(folder / "metrics.csv", metrics, [metrics.values()])
-        append_rows(folder / "episodes.csv", ["env_step", "return", "length"], episodes)
-        if due:
-            save_checkpoint(folder, args, seed, agent=agent.state_dict(),
-                            optimizer=optimizer.state_dict(), rng=torch.get_rng_state(),
-                            progress=(update + 1, seconds, evaluation),
-                            csv_bytes={p.name: p.stat().st_size for p in folder.glob("*.csv")})
-        recent = (recent + [row[1] for row in episodes])[-20:]
-        evaluated = evaluation.get("return_mean", math.nan)
-        bar.set_postfix_str(f"return {np.mean(recent or math.nan):.0f}, evaluation {evaluated:.0f}")
-        if stopped:
-            break
-    result = {"script": SCRIPT, "env_id": args.env_id, "seed": seed, "env_steps": env_step,
-              "train_seconds": seconds, "steps_per_second": env_step / seconds,
-              **{f"eval_{name}": x for name, x in evaluation.items()}, "versions": versions()}
-    (folder / "summary.json").write_text(json.dumps(result, indent=2))
+
+# ==================================================================================================
+# From here on: nothing about the algorithm
+# ==================================================================================================
+
+# --- Environments ---------------------------------------------------------------------------------
+
+
+def record_episodes(env):
+    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
+    return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
+
+
+def make_envs(args, *wrappers):
+    """N environments, stepped together; whichever ends restarts within the same step."""
+    return gym.make_vec(
+        args.env_id, args.num_envs, args.vectorization, wrappers=[*wrappers, record_episodes],
+        vector_kwargs={"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP})
+
+
+def make_seeds(seed, stream, count):
+    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+
+    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at their step k.
+    """
+    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
+
+
+def check_finite(step, *arrays):
+    """Ends the run in one line if an environment returned NaN or infinity; arrays (N, …)."""
+    for values in arrays:
+        if not np.isfinite(values).all():
+            culprit = np.argwhere(~np.isfinite(values))[0, 0]
+            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
 # --- Evaluate and watch ---------------------------------------------------------------------------
 
 
-def play(policy, env, seed=None, frames=None):
-    """One episode of the deterministic policy: its return (raw rewards) and its length."""
-    obs, _ = env.reset(seed=seed)
-    rewards, ended = [], False
-    while not ended:
-        _, actions = policy.act(obs[None], deterministic=True)
-        obs, reward, terminated, truncated, _ = env.step(actions[0])
-        rewards.append(float(reward))
-        ended = terminated or truncated
-        if frames is not None:
-            frames.append(Image.fromarray(env.render()).reduce(2))
-    return sum(rewards), len(rewards)
+def evaluate(agent, args, seed, frames=None):
+    """Deterministic episodes, side by side, so that one call of π serves all environments.
 
-
-def evaluate(policy, env, seeds):
-    """One deterministic episode per seed, on an environment that training never sees."""
-    returns, lengths = zip(*(play(policy, env, seed) for seed in seeds))
-    return {"return_mean": float(np.mean(returns)), "return_std": float(np.std(returns)),
-            "length_mean": float(np.mean(lengths)), "episodes": len(seeds)}
-
-
-def has_display():
-    """Whether a window can open: on Linux the environment says so, elsewhere it always can."""
-    return sys.platform != "linux" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))
+    Pictures of the first environment are appended to `frames`, if that is a list.
+    """
+    mode = None if frames is None else "rgb_array"
+    envs = [gym.make(args.env_id, render_mode=mode) for _ in range(args.eval_episodes)]
+    envs = [record_episodes(env) for env in envs]
+    seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+    obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
+    while obs:  # the last observation of each environment whose episode goes on
+        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
+        for env, action in zip(list(obs), actions):
+            obs[env], _, terminated, truncated, _ = env.step(action)
+            if mode and env is envs[0]:
+                frames.append(Image.fromarray(env.render()).reduce(2))
+            if terminated or truncated:
+                del obs[env]
+    returns = [float(env.return_queue[-1]) for env in envs]
+    lengths = [env.length_queue[-1] for env in envs]
+    return {"return_mean": np.mean(returns).item(), "return_std": np.std(returns).item(),
+            "length_mean": np.mean(lengths).item(), "episodes": len(envs)}
 
 
 def watch(args):
-    """Show an episode in a window or, where there is no display, in a GIF beside the checkpoint."""
-    window = has_display()
-    os.environ.setdefault("MUJOCO_GL", "glfw" if window else "egl")
-    agent = make_agent(args, gym.make(args.env_id))
-    agent.load_state_dict(torch.load(args.watch, args.device, weights_only=True)["agent"])
-    gif, frames = Path(args.watch).with_suffix(".gif"), None if window else []
-    try:
-        env = gym.make(args.env_id, render_mode="human" if window else "rgb_array")
-        print("return {:.1f} in {} steps".format(*play(agent["policy"], env, frames=frames)))
-    except Exception as error:  # every graphics library fails in its own way
-        sys.exit(f"error: cannot draw {args.env_id} ({error!r}); Debian's OpenGL is libegl1")
-    if frames:
-        fps = env.metadata.get("render_fps", 25)
-        frames = frames[:: math.ceil(fps / 25)]
-        pause = 1000 * math.ceil(fps / 25) / fps  # milliseconds
-        frames[0].save(gif, save_all=True, append_images=frames[1:], duration=pause, loop=0)
-        print(gif)
+    """Evaluate a checkpoint, and make a GIF of the first episode."""
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
+    gif = Path(args.watch).with_suffix(".gif")
+    print(f"drawing {gif}", flush=True)
+    env = gym.make(args.env_id)
+    agent = Agent(env.observation_space, env.action_space, args)
+    agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
+    frames = []
+    result = evaluate(agent, args, args.seed[0], frames)
+    print("return {return_mean:.1f} ± {return_std:.1f} in {episodes} episodes".format(**result))
+    fps = env.metadata.get("render_fps", 25)
+    every = math.ceil(fps / 25)  # 25 pictures a second are enough
+    frames[0].save(gif, save_all=True, append_images=frames[every::every], loop=0,
+                   duration=1000 * every / fps)
+
+
+# --- Files ----------------------------------------------------------------------------------------
+
+
+class Log:
+    """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
+
+    def __init__(self, args, seed, folder, agent, optimizer, position):
+        self.args, self.seed, self.folder = args, seed, folder
+        self.agent, self.optimizer = agent, optimizer
+        self.tables = {"evals": [], "episodes": [], "metrics": []}
+        self.env_step, self.seconds = 0, 0.0
+        if args.resume:  # episodes that were going on are lost
+            checkpoint = torch.load(args.resume, args.device, weights_only=True)
+            agent.load_state_dict(checkpoint["agent"])
+            optimizer.load_state_dict(checkpoint["optimizer"])
+            torch.set_rng_state(checkpoint["rng"].cpu())
+            self.tables = checkpoint["tables"]
+            last = self.tables["evals"].pop()
+            self.env_step, self.seconds = last["env_step"], last["seconds"]
+        self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
+                        initial=self.env_step, position=position, leave=False,
+                        mininterval=0.1 if sys.stderr.isatty() else 30)
+        self.save()
+        self.clock = time.perf_counter()
+
+    def update(self, steps, episodes, diagnostics):
+        """Keep the rows of an update that took `steps` environment steps."""
+        self.env_step += steps
+        self.seconds += time.perf_counter() - self.clock
+        self.tables["episodes"] += episodes
+        self.tables["metrics"].append({
+            "env_step": self.env_step, **diagnostics,
+            "learning_rate": self.optimizer.param_groups[0]["lr"],
+            "steps_per_second": self.env_step / self.seconds})
+        pause = self.args.total_steps / self.args.num_evals
+        if self.env_step >= min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps):
+            self.save()
+        evaluation = self.tables["evals"][-1]["return_mean"]
+        returns = [episode["return"] for episode in self.tables["episodes"][-20:]]
+        training = f"{np.mean(returns):.0f}" if returns else "not known yet"
+        self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
+        self.bar.update(min(steps, self.bar.total - self.bar.n))
+        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+
+    def save(self):
+        """Evaluate, then write all files."""
+        self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
+                                     **evaluate(self.agent, self.args, self.seed)})
+        self.folder.mkdir(exist_ok=True)
+        for name, rows in self.tables.items():
+            if rows:
+                pd.DataFrame(rows).to_csv(self.folder / f"{name}.csv", index=False)
+        state = {"args": {**vars(self.args), "seed": [self.seed]}, "tables": self.tables,
+                 "agent": self.agent.state_dict(), "optimizer": self.optimizer.state_dict(),
+                 "rng": torch.get_rng_state()}
+        torch.save(state, self.folder / "checkpoint.tmp")
+        os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
 
 
 # --- Plot -----------------------------------------------------------------------------------------
 
-
-PANELS = [("episodes", "episode", "return"), ("episodes", "env_step", "return"),
-          ("episodes", "env_step", "length"), ("evals", "env_step", "return_mean"),
-          ("evals", "env_step", "length_mean"), ("evals", "env_step", "return_std"),
-          *(("metrics", "env_step", name) for name in (
-              "policy_loss", "value_loss", "entropy", "policy_std", "approx_kl", "clip_fraction",
-              "explained_variance", "grad_norm", "learning_rate", "steps_per_second"))]
-
-
-def plot(folder):
-    """learning_curve.png: mean over seeds ± 1.96 standard errors, and a thin line for each seed."""
-    units = {"return": " (raw)", "return_mean": " (raw)", "return_std": " (raw)",
-             "length": " (steps)", "length_mean": " (steps)", "entropy": " (nats)",
-             "approx_kl": " (nats)", "episode": "episodes", "env_step": "environment steps"}
-    rows = len(PANELS) // 4
-    figure = Figure(figsize=(20, 4 * rows), layout="constrained")  # pyplot might seek a display
-    for axis, (table, x, y) in zip(figure.subplots(rows, 4).flat, PANELS):
-        files = sorted(folder.glob(f"seed-*/{table}.csv"))
-        data = pd.concat(pd.read_csv(file).assign(seed=file.parent.name) for file in files)
-        if data.empty:
-            continue  # an early Ctrl-C: no episode has ended yet
-        data["episode"] = data.groupby("seed").cumcount() + 1
-        width = max(1, data[x].max() / 60)  # seeds end their episodes at different steps
-        data[x] = np.ceil(data[x] / width) * width
-        lines = {"data": data.groupby(["seed", x], as_index=False)[y].mean(), "x": x, "y": y}
-        sns.lineplot(**lines, errorbar=("se", 1.96), ax=axis)
-        sns.lineplot(**lines, units="seed", estimator=None, linewidth=0.5, ax=axis)
-        axis.set(xlabel=units[x], ylabel=f"{table}: {y}{units.get(y, '')}")
-        axis.locator_params(axis="x", nbins=5)
-    figure.suptitle(folder.name)
-    figure.savefig(folder / "learning_curve.png", dpi=100)
+LABELS = {
+    "policy_loss": "policy loss", "value_loss": "value loss (scaled rewards)",
+    "entropy": "entropy (nats)", "policy_std": "σ, mean over actions",
+    "approx_kl": "KL from the old policy (nats)", "clip_fraction": "share of clipped ratios",
+    "explained_variance": "explained variance", "grad_norm": "gradient norm",
+    "learning_rate": "learning rate", "steps_per_second": "steps per second"}
 
 
-# --- Run folder -----------------------------------------------------------------------------------
+def draw(axis, files, column, label, window=1):
+    """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
 
-
-def versions():
-    """What a number depends on besides the seed; what is not installed is left out."""
-    found = {}
-    for name in ("torch", "gymnasium", "mujoco", "box2d", "numpy"):
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[name] = importlib.metadata.version(name)
-    return found
-
-
-def append_rows(path, columns, rows):
-    """Add rows to a CSV file, below the names of its columns if it is new."""
-    with path.open("a", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        if file.tell() == 0:
-            writer.writerow(columns)
-        writer.writerows(rows)
-
-
-def save_checkpoint(folder, args, seed, **state):
-    """Replace checkpoint.pt in one go: a killed run leaves the old one or the new one, whole."""
-    here = ("resume", "watch", "device", "out_dir")  # what belongs to a call, not to the run
-    saved = {name: x for name, x in vars(args).items() if name not in here} | {"seed": [seed]}
-    torch.save({"script": SCRIPT, "args": saved, **state}, folder / "checkpoint.tmp")
-    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
-
-
-def restore(args, folder, agent, optimizer):
-    """Go back to a checkpoint, CSV files too; returns its updates, seconds, last evaluation.
-
-    The environments start anew: the episodes that were going on then are lost.
+    Seeds have rows at different steps, so each keeps its last value until its next one.
     """
-    checkpoint = torch.load(args.resume, args.device, weights_only=True)
-    agent.load_state_dict(checkpoint["agent"])
-    optimizer.load_state_dict(checkpoint["optimizer"])
-    torch.set_rng_state(checkpoint["rng"].cpu())
-    for path in folder.glob("*.csv"):
-        os.truncate(path, checkpoint["csv_bytes"].get(path.name, 0))
-    return checkpoint["progress"]
+    seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
+    if seeds:
+        table = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
+        table = table.sort_index().ffill().dropna()
+        mean, error = table.mean(axis=1), 1.96 * table.sem(axis=1)
+        axis.plot(mean, label=label)
+        axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k instead of 100000
 
 
-def make_folder(args):
-    """A new folder for the files of this call, with args.json."""
-    env_id, now = args.env_id.replace(":", "-").replace("/", "-"), datetime.now()
-    folder = Path(args.out_dir, f"{env_id}__{SCRIPT}__{now:%Y%m%d_%H%M%S%f}")
-    folder.mkdir(parents=True)
-    record = {**vars(args), "command": sys.argv, "versions": versions()}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
-    return folder
+def plot(folder, env_id):
+    """learning_curve.png: returns on top, the columns of metrics.csv below."""
+    evals = list(folder.glob("**/evals.csv"))
+    rows = math.ceil(len(LABELS) / 4)
+    with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
+        figure = Figure(figsize=(12, 5 + 2 * rows), layout="constrained")
+        grid = figure.add_gridspec(1 + rows, 4, height_ratios=[5, *[2] * rows])
+        top = figure.add_subplot(grid[0, :])
+        small = [figure.add_subplot(grid[1 + i // 4, i % 4]) for i in range(len(LABELS))]
+    draw(top, evals, "return_mean", "evaluation, deterministic actions")
+    draw(top, folder.glob("**/episodes.csv"), "return", "training, last 20 episodes", window=20)
+    for axis, (column, label) in zip(small, LABELS.items()):
+        draw(axis, folder.glob("**/metrics.csv"), column, label)
+        axis.set_title(label)
+    threshold = gym.make(env_id).spec.reward_threshold
+    if threshold is not None:
+        top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
+    seeds = f"mean and 95% interval of {len(evals)} seeds" if len(evals) > 1 else "one seed"
+    top.set(title=f"{env_id}, {seeds}", xlabel="environment steps", ylabel="return (raw rewards)")
+    top.legend()
+    figure.savefig(folder / "learning_curve.png")
 
 
-# --- Configuration --------------------------------------------------------------------------------
+# --- Command line ---------------------------------------------------------------------------------
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float within [low, high]; NaN is in no interval."""
+    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is neither."""
 
     def parse(text):
-        with contextlib.suppress(ValueError):
-            if low <= kind(text) <= high:
-                return kind(text)
-        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
+        value = float(text)
+        if low <= value <= high and kind(value) == value:
+            return kind(value)
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} from {low} to {high:g}")
 
     return parse
 
 
-def parse_and_check(parser, argv):
-    """The arguments, an environment that they name, and a function that demands more of them.
-
-    What cannot work ends in one line, with status 2. A checkpoint's arguments are kept.
-    """
+def check(parser, argv):
+    """The arguments if they can work, else one line that says why not, and exit status 2."""
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
-
-    def require(name, condition, takes):
-        if not condition:
-            flag, got = name.replace("_", "-"), getattr(args, name)
-            parser.error(f"argument --{flag}: got {got}, takes {takes}")
-
-    flag = "watch" if args.watch else "resume"
-    if getattr(args, flag, None):
-        try:
-            checkpoint = torch.load(getattr(args, flag), args.device, weights_only=True)
-            script, saved = checkpoint["script"], checkpoint["args"]
-        except Exception:  # missing, cut short, something else, or with code in it (weights_only)
-            script = None
-        require(flag, script == SCRIPT, f"a whole checkpoint of {SCRIPT}.py")
-        args = parser.parse_args(argv, argparse.Namespace(**saved))  # what it says is the default
-        for name in saved:
-            require(name, getattr(args, name) == saved[name], f"{saved[name]} as in the checkpoint")
+    path = args.watch or args.resume
+    try:
+        if path:
+            checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
+            parser.set_defaults(**checkpoint["args"])
+            args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
+    except Exception:  # missing, cut short, something else
+        parser.error(f"{path} is not a checkpoint")
     try:
         env = gym.make(args.env_id)
-    except Exception as error:  # its text names the nearest environment
-        require("env_id", False, f"a Gymnasium environment: {error}".splitlines()[0])
-    obs = env.observation_space
-    require("env_id", isinstance(obs, gym.spaces.Box) and len(obs.shape) == 1,
-            f"flat observations, not {obs}")
-    require("seed", len(set(args.seed)) == len(args.seed), "every seed once")
-    folder = next(p for p in Path(args.out_dir, "run").absolute().parents if p.exists())
-    writable = folder.is_dir() and os.access(folder, os.W_OK)
-    require("out_dir", args.watch or writable, "a folder to write to")
-    return args, env, require
-
-
-def parse_args(argv=None):
-    """What --help shows; a wrong argument ends in one line."""
-    title, _ = __doc__.split("\n", 1)
-    style = argparse.ArgumentDefaultsHelpFormatter
-    parser = argparse.ArgumentParser(None, "%(prog)s [options]", title, formatter_class=style)
-    devices = ["cpu", *(d for d in ("cuda", "mps") if getattr(torch, d).is_available())]
-    count, share, weight = number(int, 1), number(float, 0, 1), number(float, 0)
-    add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
-    add("--env-id", default="InvertedDoublePendulum-v5", help="also my_module:MyEnv-v0")
-    add("--total-steps", type=count, default=150_000, help="of all environments, rounded up")
-    add("--num-envs", type=count, default=16, help="N, environments stepped together")
-    add("--rollout-steps", type=count, default=128, help="T, steps of each in a rollout")
-    add("--epochs", type=count, default=10, help="passes over a rollout")
-    add("--minibatch-size", type=number(int, 2), default=512, help="M, rows of a gradient step")
-    add("--learning-rate", type=weight, default=1e-3, help="of Adam at first; it falls to 0")
-    add("--gamma", type=share, default=0.99, help="γ, discount of rewards")
-    add("--gae-lambda", type=share, default=0.95, help="λ, trust in rewards (1) or V (0)")
-    add("--clip-eps", type=weight, default=0.2, help="ε, clip range of the ratio ρ")
-    add("--target-kl", type=weight, default=0.02, help="1.5 times it ends an update; 0: no limit")
-    add("--value-coef", type=weight, default=0.5, help="c_V, weight of the value loss")
-    add("--value-clip-eps", type=weight, default=0.0, help="clip range of V; 0: no clipping")
-    add("--entropy-coef", type=weight, default=0.0, help="c_H, weight of the entropy")
-    add("--max-grad-norm", type=weight, default=0.5, help="longer gradients are shortened")
-    add("--hidden-size", type=count, default=64, help="units in each hidden layer")
-    add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ at first")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="σ's pace of learning; μ's is 1")
-    add("--squash", choices=("tanh", "clip"), default="tanh", help="g, keeps actions in bounds")
-    add("--eval-every", type=number(int, 0), default=20, help="updates; also saves; 0: at the end")
-    add("--eval-episodes", type=count, default=10, help="episodes of an evaluation")
-    add("--device", choices=devices, default="cpu", help="where the networks are computed")
-    add("--out-dir", default="runs", help="where run folders are made")
-    add("--resume", metavar="CHECKPOINT", help="go on with a run, in its folder")
-    add("--watch", metavar="CHECKPOINT", help="show an episode in a window or GIF")
-    args, env, require = parse_and_check(parser, argv)
-    actions, batch_size = env.action_space, args.num_envs * args.rollout_steps
-    box = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1 and actions.is_bounded()
-    require("env_id", box, f"a flat, bounded Box of actions, not {actions} (see a2c_vector.py)")
-    require("total_steps", args.total_steps >= batch_size, f"at least a rollout, {batch_size}")
-    require("minibatch_size", args.minibatch_size <= batch_size, f"at most a rollout, {batch_size}")
+    except (gym.error.Error, ImportError) as error:  # which names the nearest environment
+        parser.error(f"argument --env-id: {error}".splitlines()[0])
+    for space in (env.observation_space, env.action_space):
+        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
+            parser.error(f"argument --env-id: takes flat Boxes of observations and actions, not {space} "
+                         "(for the former: gymnasium.wrappers.FlattenObservation)")
+    if not env.action_space.is_bounded():
+        parser.error("argument --env-id: takes bounded actions; reinforce_mujoco.py takes these")
+    if path:
+        try:
+            Agent(env.observation_space, env.action_space, args).load_state_dict(checkpoint["agent"])
+        except (KeyError, RuntimeError):
+            parser.error(f"{path} is of another script, or does not fit the other arguments")
+    if args.minibatch_size > args.num_envs * args.rollout_steps:
+        parser.error("argument --minibatch-size: takes at most num_envs times rollout_steps")
+    args.seed = sorted(set(args.seed))
     return args
 
 
-# --- main -----------------------------------------------------------------------------------------
-
-
-def start_worker(lock):
-    """A process of several shares the terminal, and leaves Ctrl-C to its parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    tqdm.set_lock(lock)
+def make_folder(args):
+    """A new folder for this call, with args.json."""
+    name = f"{args.env_id}__{Path(__file__).stem}__{datetime.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        print(f"error: argument --out-dir: {error}", file=sys.stderr)
+        sys.exit(2)
+    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
+    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
+    record = {**vars(args), "command": sys.argv, "versions": versions}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
 
 
 def train_seeds(args, folder):
-    """Train the seeds, several side by side in processes, and draw their learning curve."""
+    """Several seeds side by side, in processes of their own, which end with this one."""
     context = multiprocessing.get_context("spawn")
-    stop = folder / f"stop-{os.getpid()}"  # a file, since all processes can see it
-    signal.signal(signal.SIGINT, lambda *_: stop.touch())  # train ends after its current update
-    jobs = [(args, s, folder / f"seed-{s}", stop, i) for i, s in enumerate(args.seed)]
-    try:
-        if len(jobs) == 1:
-            train(*jobs[0])
-        else:
-            lock = context.RLock()
-            with ProcessPoolExecutor(os.cpu_count(), context, start_worker, (lock,)) as pool:
-                futures = [pool.submit(train, *job) for job in jobs]
-            for future in futures:
-                future.result()  # raises what has ended that seed, after all others are done
-    except gym.error.Error as error:
-        sys.exit(f"error: {error}")
-    finally:
-        if any(folder.glob("*/evals.csv")):
-            plot(folder)
-        print("", *sorted(folder.glob("*/checkpoint.pt")), *folder.glob("*.png"), sep="\n")
-        stop.unlink(missing_ok=True)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
+    with ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),)) as pool:
+        jobs = [pool.submit(train, args, seed, folder / f"seed-{seed}", position)
+                for position, seed in enumerate(args.seed)]
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            wait(jobs)
+        finally:
+            for process in multiprocessing.active_children():
+                process.terminate()
+    for seed, job in zip(args.seed, jobs):
+        if job.exception():
+            print(f"seed {seed} failed:", file=sys.stderr)
+            raise job.exception()
+
+
+def report(folder, total_steps):
+    """What came out of each seed, where it is, and how to go on with it."""
+    for file in sorted(folder.glob("**/evals.csv")):
+        last = pd.read_csv(file).iloc[-1]
+        path = file.with_name("checkpoint.pt")
+        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
+              f"{last['seconds'] / 60:.1f} minutes: {path}")
+        if last["env_step"] < total_steps:
+            print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 def main():
+    sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
     args = parse_args()
     if args.watch:
-        watch(args)
-    elif args.resume:
-        train_seeds(args, Path(args.resume).absolute().parent.parent)
-    else:
-        train_seeds(args, make_folder(args))
+        return watch(args)
+    folder = Path(args.resume).parent if args.resume else make_folder(args)
+    try:
+        if len(args.seed) > 1:
+            train_seeds(args, folder)
+        else:
+            train(args, args.seed[0], folder if args.resume else folder / f"seed-{args.seed[0]}")
+    except KeyboardInterrupt:
+        sys.exit(130)
+    finally:
+        print(f"drawing {folder / 'learning_curve.png'}", flush=True)
+        plot(folder, args.env_id)
+        report(folder, args.total_steps)
 
 
 if __name__ == "__main__":
