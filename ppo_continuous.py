@@ -107,13 +107,13 @@ def parse_args(argv=None):
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=128, help="steps of each in a rollout, T")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch, M")
+    add("--minibatch-size", type=number(int, 1), default=512, help="steps in a minibatch, M")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam at first; falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="bias (0) to variance (1), λ")
     add("--clip-eps", type=number(float, 0), default=0.2, help="how far the ratio may go from 1, ε")
-    add("--target-kl", type=number(float, 0), default=0.02, help="1.5 times it ends an update; 0: no limit")
-    add("--value-coef", type=number(float, 0), default=0.5, help="weight of the critic's loss, c_V")
+    add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
+    add("--value-coef", type=number(float, 0), default=1.0, help="weight of the critic's loss, c_V")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
@@ -148,12 +148,12 @@ class RunningNorm(nn.Module):
     def update(self, rows):
         """Pool `rows` (B, …) with all earlier ones ([5])."""
         rows = rows.float()  # observations may be integers
-        weight = len(rows) / (self.count + len(rows))
-        delta = rows.mean(0) - self.mean
-        var = self.var + weight * (rows.var(0, correction=0) - self.var + (1 - weight) * delta**2)
-        self.var.copy_(var.clamp(min=1e-8))  # a dimension that never moved must not divide by zero
-        self.mean += weight * delta
         self.count += len(rows)
+        weight = len(rows) / self.count
+        spread = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # between the new rows and the old
+        # A dimension that never moved must not divide by zero.
+        self.var.lerp_(rows.var(0, correction=0) + spread, weight).clamp_(min=1e-8)
+        self.mean.lerp_(rows.mean(0), weight)
 
 
 def mlp(inputs, hidden, outputs, activation, output_gain):
@@ -287,9 +287,9 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
     """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
-    A terminal state is worth nothing, whatever the critic says; at a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode. After
-    the last step of the rollout A_{t+1} = 0, and V(s_{t+1}) stands for all that follows.
+    A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
+    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
+    After the last step of the rollout A_{t+1} is 0, and V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
     deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
@@ -316,8 +316,8 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def value_loss(values, targets):
-    """E[(V − R)²]; (M,) each. The targets R are data: no gradient goes through them."""
-    return ((values - targets) ** 2).mean()
+    """½·E[(V − R)²]; (B,) each. The targets R are data: no gradient goes through them."""
+    return ((values - targets) ** 2).mean() / 2
 
 
 def approximate_kl(log_ratio):
@@ -329,47 +329,52 @@ def approximate_kl(log_ratio):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Steps 3 to 6. Returns the diagnostics: means over the minibatches that were learned from."""
+    """Steps 3 to 6. Returns the diagnostics: means over the minibatches that were looked at."""
     obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
     with torch.no_grad():
         old_log_probs = gaussian_log_prob(samples, *agent.policy(obs))
     logs = []
-    for _ in range(args.epochs):
+    for epoch in range(args.epochs):
         with torch.no_grad():  # advantages and targets are data: no gradient goes through them
             values = agent.value(torch.cat((batch["obs"], batch["next_obs"][-1:])))
             values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's s_t,
-            next_values[batch["done"]] = agent.value(batch["next_obs"][batch["done"]])  # save at ends
+            ended = batch["done"]  # except where an episode ended
+            next_values[ended] = agent.value(batch["next_obs"][ended])
             advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
-                                     batch["done"], args.gamma, args.gae_lambda).flatten()
-            values = values.flatten()
-        targets = advantages + values
+                                     ended, args.gamma, args.gae_lambda)
+            targets = (advantages + values).flatten()
+            advantages = advantages.flatten()
+        if epoch == 0:
+            explained_variance = 1 - advantages.var() / targets.var()
         order = torch.randperm(len(obs))
-        for rows in order.tensor_split(len(order) // args.minibatch_size):
+        for rows in order.tensor_split(max(1, len(order) // args.minibatch_size)):
             mean, log_std = agent.policy(obs[rows])
             log_ratio = gaussian_log_prob(samples[rows], mean, log_std) - old_log_probs[rows]
-            ratio = log_ratio.exp()  # ρ
+            ratio = log_ratio.exp()  # ρ, which is 1 until the first step
             kl = approximate_kl(log_ratio)
-            if logs and 0 < args.target_kl < kl / 1.5:  # step 5
-                return average(logs)
-            A = (advantages[rows] - advantages[rows].mean()) / (advantages[rows].std() + 1e-8)
+            A = advantages[rows]
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = value_loss(agent.value(obs[rows]), targets[rows])
             entropy = gaussian_entropy(log_std)
+            log = {"policy_loss": loss_pi.item(), "value_loss": loss_v.item(),
+                   "entropy": entropy.item(), "policy_std": log_std.exp().mean().item(),
+                   "approx_kl": kl.item(), "explained_variance": explained_variance.item(),
+                   "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean().item()}
+            logs.append(log)
+            if kl > args.max_kl:  # step 5
+                return average(logs)
             optimizer.zero_grad()
             (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()
-            grad_norm = nn.utils.clip_grad_norm_(
-                list(agent.parameters()), args.max_grad_norm, error_if_nonfinite=True)
+            log["grad_norm"] = nn.utils.clip_grad_norm_(
+                list(agent.parameters()), args.max_grad_norm, error_if_nonfinite=True).item()
             optimizer.step()  # step 6
-            logs.append({
-                "policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy, "approx_kl": kl,
-                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean(),
-                "explained_variance": 1 - (targets[rows] - values[rows]).var() / targets[rows].var(),
-                "grad_norm": grad_norm, "policy_std": log_std.exp().mean()})
     return average(logs)
 
 
 def average(logs):
-    return {name: torch.stack([log[name] for log in logs]).mean().item() for name in logs[0]}
+    """The mean of each diagnostic over all minibatches that have it."""
+    return pd.DataFrame(logs).mean().to_dict()
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -440,46 +445,38 @@ def check_finite(step, *arrays):
 # --- Evaluate and watch ---------------------------------------------------------------------------
 
 
-def evaluate(agent, args, seed, frames=None):
-    """Deterministic episodes, side by side, so that one call of π serves all environments.
-
-    Pictures of the first environment are appended to `frames`, if that is a list.
-    """
-    mode = None if frames is None else "rgb_array"
-    envs = [gym.make(args.env_id, render_mode=mode) for _ in range(args.eval_episodes)]
-    envs = [record_episodes(env) for env in envs]
-    seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+def evaluate(agent, envs, seed):
+    """One deterministic episode in each of `envs`, side by side: one call of π serves them all."""
+    seeds = make_seeds(seed, stream=1, count=len(envs))
     obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
     while obs:  # the last observation of each environment whose episode goes on
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
             obs[env], _, terminated, truncated, _ = env.step(action)
-            if mode and env is envs[0]:
-                frames.append(Image.fromarray(env.render()).reduce(2))
             if terminated or truncated:
                 del obs[env]
-    returns = [float(env.return_queue[-1]) for env in envs]
-    lengths = [env.length_queue[-1] for env in envs]
-    return {"return_mean": np.mean(returns).item(), "return_std": np.std(returns).item(),
-            "length_mean": np.mean(lengths).item(), "episodes": len(envs)}
+    returns = np.array([env.return_queue[-1] for env in envs], dtype=float)
+    lengths = np.array([env.length_queue[-1] for env in envs])
+    return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
+            "length_mean": lengths.mean().item(), "episodes": len(envs)}
 
 
 def watch(args):
-    """Evaluate a checkpoint, and make a GIF of the first episode."""
+    """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
     if sys.platform == "linux":
         os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
     gif = Path(args.watch).with_suffix(".gif")
     print(f"drawing {gif}", flush=True)
-    env = gym.make(args.env_id)
-    agent = Agent(env.observation_space, env.action_space, args)
+    camera = gym.wrappers.RenderCollection(gym.make(args.env_id, render_mode="rgb_array"))
+    envs = [camera, *(gym.make(args.env_id) for _ in range(args.eval_episodes - 1))]
+    agent = Agent(camera.observation_space, camera.action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    frames = []
-    result = evaluate(agent, args, args.seed[0], frames)
+    result = evaluate(agent, [record_episodes(env) for env in envs], args.seed[0])
     print("return {return_mean:.1f} ± {return_std:.1f} in {episodes} episodes".format(**result))
-    fps = env.metadata.get("render_fps", 25)
+    fps = camera.metadata.get("render_fps", 25)
     every = math.ceil(fps / 25)  # 25 pictures a second are enough
-    frames[0].save(gif, save_all=True, append_images=frames[every::every], loop=0,
-                   duration=1000 * every / fps)
+    pictures = [Image.fromarray(picture).reduce(2) for picture in camera.render()[::every]]
+    pictures[0].save(gif, save_all=True, append_images=pictures[1:], duration=1000 * every / fps)
 
 
 # --- Files ----------------------------------------------------------------------------------------
@@ -489,23 +486,23 @@ class Log:
     """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
 
     def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.folder = args, seed, folder
-        self.agent, self.optimizer = agent, optimizer
+        self.args, self.seed, self.agent, self.optimizer = args, seed, agent, optimizer
+        self.folder = folder if args.resume else folder / f"seed-{seed}"
         self.tables = {"evals": [], "episodes": [], "metrics": []}
         self.env_step, self.seconds = 0, 0.0
-        if args.resume:  # episodes that were going on are lost
+        self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
+        if args.resume:  # the episodes that were going on are lost
             checkpoint = torch.load(args.resume, args.device, weights_only=True)
             agent.load_state_dict(checkpoint["agent"])
             optimizer.load_state_dict(checkpoint["optimizer"])
             torch.set_rng_state(checkpoint["rng"].cpu())
             self.tables = checkpoint["tables"]
-            last = self.tables["evals"].pop()
+            last = self.tables["evals"].pop()  # `save` makes this row again
             self.env_step, self.seconds = last["env_step"], last["seconds"]
         self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
                         initial=self.env_step, position=position, leave=False,
                         mininterval=0.1 if sys.stderr.isatty() else 30)
         self.save()
-        self.clock = time.perf_counter()
 
     def update(self, steps, episodes, diagnostics):
         """Keep the rows of an update that took `steps` environment steps."""
@@ -517,19 +514,20 @@ class Log:
             "learning_rate": self.optimizer.param_groups[0]["lr"],
             "steps_per_second": self.env_step / self.seconds})
         pause = self.args.total_steps / self.args.num_evals
-        if self.env_step >= min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps):
+        self.clock = time.perf_counter()
+        due = self.tables["evals"][-1]["env_step"] + pause
+        if self.env_step >= min(due, self.args.total_steps):
             self.save()
         evaluation = self.tables["evals"][-1]["return_mean"]
-        returns = [episode["return"] for episode in self.tables["episodes"][-20:]]
+        returns = [row["return"] for row in self.tables["episodes"][-20:]]
         training = f"{np.mean(returns):.0f}" if returns else "not known yet"
         self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
         self.bar.update(min(steps, self.bar.total - self.bar.n))
-        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
 
     def save(self):
         """Evaluate, then write all files."""
         self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
-                                     **evaluate(self.agent, self.args, self.seed)})
+                                     **evaluate(self.agent, self.envs, self.seed)})
         self.folder.mkdir(exist_ok=True)
         for name, rows in self.tables.items():
             if rows:
@@ -539,6 +537,7 @@ class Log:
                  "rng": torch.get_rng_state()}
         torch.save(state, self.folder / "checkpoint.tmp")
         os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
+        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
 
 
 # --- Plot -----------------------------------------------------------------------------------------
@@ -551,40 +550,40 @@ LABELS = {
     "learning_rate": "learning rate", "steps_per_second": "steps per second"}
 
 
-def draw(axis, files, column, label, window=1):
+def draw(axis, folder, table, column, label, window=1):
     """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
 
     Seeds have rows at different steps, so each keeps its last value until its next one.
     """
+    files = folder.glob(f"**/{table}.csv")
     seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
     if seeds:
-        table = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
-        table = table.sort_index().ffill().dropna()
-        mean, error = table.mean(axis=1), 1.96 * table.sem(axis=1)
+        seeds = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
+        seeds = seeds.sort_index().ffill().dropna()
+        mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
         axis.plot(mean, label=label)
         axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k instead of 100000
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k for 100000
 
 
 def plot(folder, env_id):
     """learning_curve.png: returns on top, the columns of metrics.csv below."""
-    evals = list(folder.glob("**/evals.csv"))
     rows = math.ceil(len(LABELS) / 4)
     with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
-        figure = Figure(figsize=(12, 5 + 2 * rows), layout="constrained")
-        grid = figure.add_gridspec(1 + rows, 4, height_ratios=[5, *[2] * rows])
-        top = figure.add_subplot(grid[0, :])
-        small = [figure.add_subplot(grid[1 + i // 4, i % 4]) for i in range(len(LABELS))]
-    draw(top, evals, "return_mean", "evaluation, deterministic actions")
-    draw(top, folder.glob("**/episodes.csv"), "return", "training, last 20 episodes", window=20)
-    for axis, (column, label) in zip(small, LABELS.items()):
-        draw(axis, folder.glob("**/metrics.csv"), column, label)
-        axis.set_title(label)
+        figure = Figure(figsize=(12, 6 + 2 * rows), layout="constrained")
+        grid = figure.add_gridspec(3 + rows, 4)
+        top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
+        draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
+        draw(top, folder, "episodes", "return", "training, last 20 episodes", window=20)
+        for i, (column, label) in enumerate(LABELS.items()):
+            axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
+            draw(axis, folder, "metrics", column, label)
     threshold = gym.make(env_id).spec.reward_threshold
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-    seeds = f"mean and 95% interval of {len(evals)} seeds" if len(evals) > 1 else "one seed"
-    top.set(title=f"{env_id}, {seeds}", xlabel="environment steps", ylabel="return (raw rewards)")
+    seeds = len(list(folder.glob("**/evals.csv")))
+    what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
+    top.set_title(f"{env_id}, {what}")
     top.legend()
     figure.savefig(folder / "learning_curve.png")
 
@@ -615,25 +614,28 @@ def check(parser, argv):
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
     except Exception:  # missing, cut short, something else
-        parser.error(f"{path} is not a checkpoint")
+        parser.error(f"argument --watch or --resume: {path} is not a checkpoint")
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError) as error:  # which names the nearest environment
         parser.error(f"argument --env-id: {error}".splitlines()[0])
-    for space in (env.observation_space, env.action_space):
-        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
-            parser.error(f"argument --env-id: takes flat Boxes of observations and actions, not {space} "
-                         "(for the former: gymnasium.wrappers.FlattenObservation)")
-    if not env.action_space.is_bounded():
-        parser.error("argument --env-id: takes bounded actions; reinforce_mujoco.py takes these")
+    observations, actions = env.observation_space, env.action_space
+    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
+        hint = "gymnasium.wrappers.FlattenObservation may make one"
+        parser.error(f"argument --env-id: takes flat Box observations, not {observations} ({hint})")
+    box = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1
+    if not box or not actions.is_bounded():
+        hint = "a2c_vector.py takes Discrete, reinforce_mujoco.py unbounded ones"
+        parser.error(f"argument --env-id: takes flat, bounded Box actions, not {actions} ({hint})")
     if path:
         try:
-            Agent(env.observation_space, env.action_space, args).load_state_dict(checkpoint["agent"])
+            Agent(observations, actions, args).load_state_dict(checkpoint["agent"])
         except (KeyError, RuntimeError):
-            parser.error(f"{path} is of another script, or does not fit the other arguments")
-    if args.minibatch_size > args.num_envs * args.rollout_steps:
-        parser.error("argument --minibatch-size: takes at most num_envs times rollout_steps")
-    args.seed = sorted(set(args.seed))
+            parser.error(f"argument --watch or --resume: {path} does not fit this script and flags")
+    if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
+        parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
+    if env.spec.max_episode_steps is None:
+        print(f"{args.env_id} has no time limit: episodes are cut off after 10,000 steps")
     return args
 
 
@@ -641,45 +643,39 @@ def make_folder(args):
     """A new folder for this call, with args.json."""
     name = f"{args.env_id}__{Path(__file__).stem}__{datetime.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
+    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
     try:
         folder.mkdir(parents=True)
     except OSError as error:
         print(f"error: argument --out-dir: {error}", file=sys.stderr)
         sys.exit(2)
-    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
-    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
     record = {**vars(args), "command": sys.argv, "versions": versions}
     (folder / "args.json").write_text(json.dumps(record, indent=2))
     return folder
 
 
 def train_seeds(args, folder):
-    """Several seeds side by side, in processes of their own, which end with this one."""
+    """Several seeds side by side, in processes of their own."""
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
-    with ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),)) as pool:
-        jobs = [pool.submit(train, args, seed, folder / f"seed-{seed}", position)
-                for position, seed in enumerate(args.seed)]
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
-            wait(jobs)
-        finally:
-            for process in multiprocessing.active_children():
-                process.terminate()
+    pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
+    jobs = [pool.submit(train, args, seed, folder, i) for i, seed in enumerate(args.seed)]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    wait(jobs)
     for seed, job in zip(args.seed, jobs):
         if job.exception():
             print(f"seed {seed} failed:", file=sys.stderr)
             raise job.exception()
 
 
-def report(folder, total_steps):
+def report(folder, args):
     """What came out of each seed, where it is, and how to go on with it."""
     for file in sorted(folder.glob("**/evals.csv")):
-        last = pd.read_csv(file).iloc[-1]
-        path = file.with_name("checkpoint.pt")
+        last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
         print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
               f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if last["env_step"] < total_steps:
+        if last["env_step"] < args.total_steps:
             print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
@@ -693,13 +689,14 @@ def main():
         if len(args.seed) > 1:
             train_seeds(args, folder)
         else:
-            train(args, args.seed[0], folder if args.resume else folder / f"seed-{args.seed[0]}")
+            train(args, args.seed[0], folder)
     except KeyboardInterrupt:
-        sys.exit(130)
+        for process in multiprocessing.active_children():  # other seeds, or environments
+            process.terminate()
     finally:
         print(f"drawing {folder / 'learning_curve.png'}", flush=True)
         plot(folder, args.env_id)
-        report(folder, args.total_steps)
+        report(folder, args)
 
 
 if __name__ == "__main__":

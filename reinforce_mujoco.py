@@ -85,6 +85,7 @@ class Agent(nn.Module):
             nn.init.normal_(head.weight, std=0.01)  # at first, much the same in every state
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
+        self.critic = None
         if args.baseline == "value":
             self.critic = nn.Sequential(
                 nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
@@ -97,8 +98,8 @@ class Agent(nn.Module):
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)
 
     def value(self, obs):
-        """Observations (…, D) -> V(s) (…,)."""
-        return self.critic(obs).squeeze(-1)
+        """Observations (…, D) -> V(s) (…,), which is 0 if there is no critic."""
+        return self.critic(obs).squeeze(-1) if self.critic else torch.zeros_like(obs[..., 0])
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
@@ -112,28 +113,35 @@ class Agent(nn.Module):
 # --- Rollout --------------------------------------------------------------------------------------
 
 
-def rollout(env, agent, env_step):
-    """Step 1: one episode, a dict of its tensors (T, …), and its row for episodes.csv.
+def rollout(env, agent, num_episodes, gamma, env_step):
+    """Steps 1 and 2: whole episodes of π, one after the other.
 
-    `env_step`: the steps of all episodes before.
+    Returns tensors of all their steps, obs (B, D), samples (B, K), returns G (B,), and a row for
+    each episode. `env_step`: the environment steps before.
     """
-    obs, _ = env.reset()
-    steps, ended = [], False
-    while not ended:
-        samples, actions = agent.act(obs[None])
-        next_obs, reward, terminated, truncated, info = env.step(actions[0])
-        env_step += 1
-        check_finite(env_step, np.array([reward]), next_obs[None])
-        steps.append({"obs": obs, "samples": samples[0], "rewards": reward})
-        obs, ended = next_obs, terminated or truncated
-    episode = {}
-    for name in steps[0]:
-        column = np.stack([step[name] for step in steps])
-        episode[name] = torch.as_tensor(column, dtype=torch.float32, device=agent.low.device)
-    episode["last_obs"] = torch.as_tensor(obs, dtype=torch.float32, device=agent.low.device)
-    episode["terminated"] = terminated
-    stats = info["episode"]
-    return episode, {"env_step": env_step, "return": float(stats["r"]), "length": stats["l"]}
+    batch = {"obs": [], "samples": [], "returns": []}
+    episodes = []
+    for _ in range(num_episodes):
+        obs, _ = env.reset()
+        rewards = []
+        ended = False
+        while not ended:
+            samples, actions = agent.act(obs[None])
+            batch["obs"].append(obs)
+            batch["samples"].append(samples[0])
+            obs, reward, terminated, truncated, info = env.step(actions[0])
+            env_step += 1
+            check_finite(env_step, np.array([reward]), obs[None])
+            rewards.append(float(reward))
+            ended = terminated or truncated
+        last_obs = torch.as_tensor(obs, dtype=torch.float32, device=agent.low.device)
+        last_return = 0.0 if terminated else agent.value(last_obs).item()
+        batch["returns"].extend(discounted_returns(rewards, last_return, gamma))
+        episodes.append({"env_step": env_step, "return": float(info["episode"]["r"]),
+                         "length": info["episode"]["l"]})
+    for name, rows in batch.items():
+        batch[name] = torch.as_tensor(np.array(rows), dtype=torch.float32, device=agent.low.device)
+    return batch, episodes
 
 
 # --- Returns and advantages -----------------------------------------------------------------------
@@ -141,20 +149,19 @@ def rollout(env, agent, env_step):
 
 def discounted_returns(rewards, last_return, gamma):
     """Step 2: G_t = r_t + γ·G_{t+1} with G_T = `last_return`; (T,) each."""
-    G, returns = last_return, []
-    for reward in rewards.flip(0).tolist():  # from the last step to the first
-        G = reward + gamma * G
-        returns.append(G)
-    return torch.tensor(returns, device=rewards.device).flip(0)
+    returns = np.empty(len(rewards))
+    G = last_return
+    for t in reversed(range(len(rewards))):
+        G = rewards[t] + gamma * G
+        returns[t] = G
+    return returns
 
 
 def compute_advantages(returns, values, baseline):
     """Step 3: A = G − b, a constant for the gradient; (B,) each."""
-    if baseline == "none":
-        return returns
     if baseline == "mean":
         return (returns - returns.mean()) / (returns.std(correction=0) + 1e-8)
-    return returns - values.detach()
+    return returns - values.detach()  # with --baseline none, V is 0
 
 
 # --- Losses ---------------------------------------------------------------------------------------
@@ -173,26 +180,18 @@ def value_loss(values, targets):
 # --- Update ---------------------------------------------------------------------------------------
 
 
-def optimise(agent, optimizer, episodes, args):
-    """Steps 2 to 4. Returns the diagnostics."""
-    obs = torch.cat([episode["obs"] for episode in episodes])
-    samples = torch.cat([episode["samples"] for episode in episodes])
-    returns = []
-    for episode in episodes:
-        last_return = 0.0
-        if args.baseline == "value" and not episode["terminated"]:
-            last_return = agent.value(episode["last_obs"]).item()
-        returns.append(discounted_returns(episode["rewards"], last_return, args.gamma))
-    returns = torch.cat(returns)
-    values = agent.value(obs) if args.baseline == "value" else None
-    advantages = compute_advantages(returns, values, args.baseline)
-    policy = agent.policy(obs)
-    loss_pi = policy_loss(policy.log_prob(samples).sum(-1), advantages)
-    loss_v = value_loss(values, returns) if args.baseline == "value" else torch.zeros(())
+def optimise(agent, optimizer, batch, baseline):
+    """Steps 3 and 4. Returns the diagnostics."""
+    values = agent.value(batch["obs"])
+    advantages = compute_advantages(batch["returns"], values, baseline)  # step 3
+    policy = agent.policy(batch["obs"])
+    loss_pi = policy_loss(policy.log_prob(batch["samples"]).sum(-1), advantages)
+    loss_v = value_loss(values, batch["returns"])
     optimizer.zero_grad()
-    (loss_pi + loss_v).backward()
-    gradients = [p.grad for name, p in agent.named_parameters() if not name.startswith("critic")]
-    grad_norm = nn.utils.get_total_norm(gradients, error_if_nonfinite=True)
+    (loss_pi + loss_v).backward()  # they share no parameters
+    networks = nn.ModuleList((agent.trunk, agent.mean, agent.raw_std))
+    grad_norm = nn.utils.get_total_norm(
+        [p.grad for p in networks.parameters()], error_if_nonfinite=True)
     optimizer.step()  # step 4
     diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "grad_norm": grad_norm,
                    "entropy": policy.entropy().sum(-1).mean(), "policy_std": policy.stddev.mean()}
@@ -210,20 +209,13 @@ def train(args, seed, folder, position=0):
     agent = Agent(env.observation_space, env.action_space, args).to(args.device)
     optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)
     log = Log(args, seed, folder, agent, optimizer, position)
-    # Seeded once: so each episode starts differently.
-    env.reset(seed=make_seeds(seed, 2 + log.env_step, count=1)[0])
+    env.reset(seed=make_seeds(seed, 2 + log.env_step, count=1)[0])  # once: each episode differs
     while log.env_step < args.total_steps:
         share = 1 - log.env_step / args.total_steps
         optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the update before
-        episodes, rows = [], []
-        env_step = log.env_step
-        for _ in range(args.batch_episodes):
-            episode, row = rollout(env, agent, env_step)  # step 1
-            env_step = row["env_step"]
-            episodes.append(episode)
-            rows.append(row)
-        diagnostics = optimise(agent, optimizer, episodes, args)  # steps 2 to 4
-        log.update(env_step - log.env_step, rows, diagnostics)
+        batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, log.env_step)  # 1, 2
+        diagnostics = optimise(agent, optimizer, batch, args.baseline)  # steps 3 and 4
+        log.update(len(batch["obs"]), episodes, diagnostics)
 
 
 # ==================================================================================================
@@ -257,46 +249,38 @@ def check_finite(step, *arrays):
 # --- Evaluate and watch ---------------------------------------------------------------------------
 
 
-def evaluate(agent, args, seed, frames=None):
-    """Deterministic episodes, side by side, so that one call of π serves all environments.
-
-    Pictures of the first environment are appended to `frames`, if that is a list.
-    """
-    mode = None if frames is None else "rgb_array"
-    envs = [gym.make(args.env_id, render_mode=mode) for _ in range(args.eval_episodes)]
-    envs = [record_episodes(env) for env in envs]
-    seeds = make_seeds(seed, stream=1, count=args.eval_episodes)
+def evaluate(agent, envs, seed):
+    """One deterministic episode in each of `envs`, side by side: one call of π serves them all."""
+    seeds = make_seeds(seed, stream=1, count=len(envs))
     obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
     while obs:  # the last observation of each environment whose episode goes on
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
             obs[env], _, terminated, truncated, _ = env.step(action)
-            if mode and env is envs[0]:
-                frames.append(Image.fromarray(env.render()).reduce(2))
             if terminated or truncated:
                 del obs[env]
-    returns = [float(env.return_queue[-1]) for env in envs]
-    lengths = [env.length_queue[-1] for env in envs]
-    return {"return_mean": np.mean(returns).item(), "return_std": np.std(returns).item(),
-            "length_mean": np.mean(lengths).item(), "episodes": len(envs)}
+    returns = np.array([env.return_queue[-1] for env in envs], dtype=float)
+    lengths = np.array([env.length_queue[-1] for env in envs])
+    return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
+            "length_mean": lengths.mean().item(), "episodes": len(envs)}
 
 
 def watch(args):
-    """Evaluate a checkpoint, and make a GIF of the first episode."""
+    """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
     if sys.platform == "linux":
         os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
     gif = Path(args.watch).with_suffix(".gif")
     print(f"drawing {gif}", flush=True)
-    env = gym.make(args.env_id)
-    agent = Agent(env.observation_space, env.action_space, args)
+    camera = gym.wrappers.RenderCollection(gym.make(args.env_id, render_mode="rgb_array"))
+    envs = [camera, *(gym.make(args.env_id) for _ in range(args.eval_episodes - 1))]
+    agent = Agent(camera.observation_space, camera.action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    frames = []
-    result = evaluate(agent, args, args.seed[0], frames)
+    result = evaluate(agent, [record_episodes(env) for env in envs], args.seed[0])
     print("return {return_mean:.1f} ± {return_std:.1f} in {episodes} episodes".format(**result))
-    fps = env.metadata.get("render_fps", 25)
+    fps = camera.metadata.get("render_fps", 25)
     every = math.ceil(fps / 25)  # 25 pictures a second are enough
-    frames[0].save(gif, save_all=True, append_images=frames[every::every], loop=0,
-                   duration=1000 * every / fps)
+    pictures = [Image.fromarray(picture).reduce(2) for picture in camera.render()[::every]]
+    pictures[0].save(gif, save_all=True, append_images=pictures[1:], duration=1000 * every / fps)
 
 
 # --- Files ----------------------------------------------------------------------------------------
@@ -306,23 +290,23 @@ class Log:
     """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
 
     def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.folder = args, seed, folder
-        self.agent, self.optimizer = agent, optimizer
+        self.args, self.seed, self.agent, self.optimizer = args, seed, agent, optimizer
+        self.folder = folder if args.resume else folder / f"seed-{seed}"
         self.tables = {"evals": [], "episodes": [], "metrics": []}
         self.env_step, self.seconds = 0, 0.0
-        if args.resume:  # episodes that were going on are lost
+        self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
+        if args.resume:  # the episodes that were going on are lost
             checkpoint = torch.load(args.resume, args.device, weights_only=True)
             agent.load_state_dict(checkpoint["agent"])
             optimizer.load_state_dict(checkpoint["optimizer"])
             torch.set_rng_state(checkpoint["rng"].cpu())
             self.tables = checkpoint["tables"]
-            last = self.tables["evals"].pop()
+            last = self.tables["evals"].pop()  # `save` makes this row again
             self.env_step, self.seconds = last["env_step"], last["seconds"]
         self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
                         initial=self.env_step, position=position, leave=False,
                         mininterval=0.1 if sys.stderr.isatty() else 30)
         self.save()
-        self.clock = time.perf_counter()
 
     def update(self, steps, episodes, diagnostics):
         """Keep the rows of an update that took `steps` environment steps."""
@@ -334,19 +318,20 @@ class Log:
             "learning_rate": self.optimizer.param_groups[0]["lr"],
             "steps_per_second": self.env_step / self.seconds})
         pause = self.args.total_steps / self.args.num_evals
-        if self.env_step >= min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps):
+        self.clock = time.perf_counter()
+        due = self.tables["evals"][-1]["env_step"] + pause
+        if self.env_step >= min(due, self.args.total_steps):
             self.save()
         evaluation = self.tables["evals"][-1]["return_mean"]
-        returns = [episode["return"] for episode in self.tables["episodes"][-20:]]
+        returns = [row["return"] for row in self.tables["episodes"][-20:]]
         training = f"{np.mean(returns):.0f}" if returns else "not known yet"
         self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
         self.bar.update(min(steps, self.bar.total - self.bar.n))
-        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
 
     def save(self):
         """Evaluate, then write all files."""
         self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
-                                     **evaluate(self.agent, self.args, self.seed)})
+                                     **evaluate(self.agent, self.envs, self.seed)})
         self.folder.mkdir(exist_ok=True)
         for name, rows in self.tables.items():
             if rows:
@@ -356,6 +341,7 @@ class Log:
                  "rng": torch.get_rng_state()}
         torch.save(state, self.folder / "checkpoint.tmp")
         os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
+        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
 
 
 # --- Plot -----------------------------------------------------------------------------------------
@@ -366,40 +352,40 @@ LABELS = {
     "learning_rate": "learning rate", "steps_per_second": "steps per second"}
 
 
-def draw(axis, files, column, label, window=1):
+def draw(axis, folder, table, column, label, window=1):
     """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
 
     Seeds have rows at different steps, so each keeps its last value until its next one.
     """
+    files = folder.glob(f"**/{table}.csv")
     seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
     if seeds:
-        table = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
-        table = table.sort_index().ffill().dropna()
-        mean, error = table.mean(axis=1), 1.96 * table.sem(axis=1)
+        seeds = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
+        seeds = seeds.sort_index().ffill().dropna()
+        mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
         axis.plot(mean, label=label)
         axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k instead of 100000
+    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k for 100000
 
 
 def plot(folder, env_id):
     """learning_curve.png: returns on top, the columns of metrics.csv below."""
-    evals = list(folder.glob("**/evals.csv"))
     rows = math.ceil(len(LABELS) / 4)
     with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
-        figure = Figure(figsize=(12, 5 + 2 * rows), layout="constrained")
-        grid = figure.add_gridspec(1 + rows, 4, height_ratios=[5, *[2] * rows])
-        top = figure.add_subplot(grid[0, :])
-        small = [figure.add_subplot(grid[1 + i // 4, i % 4]) for i in range(len(LABELS))]
-    draw(top, evals, "return_mean", "evaluation, deterministic actions")
-    draw(top, folder.glob("**/episodes.csv"), "return", "training, last 20 episodes", window=20)
-    for axis, (column, label) in zip(small, LABELS.items()):
-        draw(axis, folder.glob("**/metrics.csv"), column, label)
-        axis.set_title(label)
+        figure = Figure(figsize=(12, 6 + 2 * rows), layout="constrained")
+        grid = figure.add_gridspec(3 + rows, 4)
+        top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
+        draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
+        draw(top, folder, "episodes", "return", "training, last 20 episodes", window=20)
+        for i, (column, label) in enumerate(LABELS.items()):
+            axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
+            draw(axis, folder, "metrics", column, label)
     threshold = gym.make(env_id).spec.reward_threshold
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-    seeds = f"mean and 95% interval of {len(evals)} seeds" if len(evals) > 1 else "one seed"
-    top.set(title=f"{env_id}, {seeds}", xlabel="environment steps", ylabel="return (raw rewards)")
+    seeds = len(list(folder.glob("**/evals.csv")))
+    what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
+    top.set_title(f"{env_id}, {what}")
     top.legend()
     figure.savefig(folder / "learning_curve.png")
 
@@ -430,21 +416,27 @@ def check(parser, argv):
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
     except Exception:  # missing, cut short, something else
-        parser.error(f"{path} is not a checkpoint")
+        parser.error(f"argument --watch or --resume: {path} is not a checkpoint")
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError) as error:  # which names the nearest environment
         parser.error(f"argument --env-id: {error}".splitlines()[0])
-    for space in (env.observation_space, env.action_space):
-        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 1:
-            parser.error(f"argument --env-id: takes flat Boxes of observations and actions, not {space} "
-                         "(for the former: gymnasium.wrappers.FlattenObservation)")
+    observations, actions = env.observation_space, env.action_space
+    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
+        hint = "gymnasium.wrappers.FlattenObservation may make one"
+        parser.error(f"argument --env-id: takes flat Box observations, not {observations} ({hint})")
+    if not isinstance(actions, gym.spaces.Box) or len(actions.shape) != 1:
+        hint = "a2c_vector.py takes Discrete ones"
+        parser.error(f"argument --env-id: takes flat Box actions, not {actions} ({hint})")
     if path:
         try:
-            Agent(env.observation_space, env.action_space, args).load_state_dict(checkpoint["agent"])
+            Agent(observations, actions, args).load_state_dict(checkpoint["agent"])
         except (KeyError, RuntimeError):
-            parser.error(f"{path} is of another script, or does not fit the other arguments")
-    args.seed = sorted(set(args.seed))
+            parser.error(f"argument --watch or --resume: {path} does not fit this script and flags")
+    if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
+        parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
+    if env.spec.max_episode_steps is None:
+        print(f"{args.env_id} has no time limit: episodes end after 10,000 steps", flush=True)
     return args
 
 
@@ -452,45 +444,39 @@ def make_folder(args):
     """A new folder for this call, with args.json."""
     name = f"{args.env_id}__{Path(__file__).stem}__{datetime.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
+    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
     try:
         folder.mkdir(parents=True)
     except OSError as error:
         print(f"error: argument --out-dir: {error}", file=sys.stderr)
         sys.exit(2)
-    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
-    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
     record = {**vars(args), "command": sys.argv, "versions": versions}
     (folder / "args.json").write_text(json.dumps(record, indent=2))
     return folder
 
 
 def train_seeds(args, folder):
-    """Several seeds side by side, in processes of their own, which end with this one."""
+    """Several seeds side by side, in processes of their own."""
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
-    with ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),)) as pool:
-        jobs = [pool.submit(train, args, seed, folder / f"seed-{seed}", position)
-                for position, seed in enumerate(args.seed)]
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
-            wait(jobs)
-        finally:
-            for process in multiprocessing.active_children():
-                process.terminate()
+    pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
+    jobs = [pool.submit(train, args, seed, folder, i) for i, seed in enumerate(args.seed)]
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    wait(jobs)
     for seed, job in zip(args.seed, jobs):
         if job.exception():
             print(f"seed {seed} failed:", file=sys.stderr)
             raise job.exception()
 
 
-def report(folder, total_steps):
+def report(folder, args):
     """What came out of each seed, where it is, and how to go on with it."""
     for file in sorted(folder.glob("**/evals.csv")):
-        last = pd.read_csv(file).iloc[-1]
-        path = file.with_name("checkpoint.pt")
+        last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
         print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
               f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if last["env_step"] < total_steps:
+        if last["env_step"] < args.total_steps:
             print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
@@ -504,13 +490,14 @@ def main():
         if len(args.seed) > 1:
             train_seeds(args, folder)
         else:
-            train(args, args.seed[0], folder if args.resume else folder / f"seed-{args.seed[0]}")
+            train(args, args.seed[0], folder)
     except KeyboardInterrupt:
-        sys.exit(130)
+        for process in multiprocessing.active_children():  # other seeds, or environments
+            process.terminate()
     finally:
         print(f"drawing {folder / 'learning_curve.png'}", flush=True)
         plot(folder, args.env_id)
-        report(folder, args.total_steps)
+        report(folder, args)
 
 
 if __name__ == "__main__":
