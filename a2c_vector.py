@@ -13,7 +13,48 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-DOC
+It learns to land on the moon: 210 points (200 count as solved) after 1,000,000 steps, 70 seconds.
+
+    python a2c_vector.py --seed 1 2 3 4 5
+
+In a state s the actor π(a|s), a probability for each of K actions, draws an action a. The
+environment answers with a reward r and the next state, and so on until the episode ends. The critic
+V(s) predicts the discounted sum of the rewards that will follow s.
+  1. Play T steps in each of N environments with π:  a_t ~ π(·|s_t).
+  2. Multiply the rewards r by a constant, so that V predicts numbers of moderate size.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)        how much better than V predicted
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      advantage, target of the critic
+  5. A step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
+     with A standardised (mean 0, standard deviation 1) and too long gradients shortened.
+  6. Update the mean and variance that normalise s. Lower the learning rates. Go to 1.
+
+Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
+gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which the steps of 1 can estimate: push up the
+probability of each action by how much followed it. A number that does not depend on the action may
+be subtracted from G, for E[∇log π] = ∫∇π = ∇1 = 0. With V(s) subtracted, an action counts by how
+much better than usual it turned out. That is the advantage A: the same direction, but less noise.
+
+terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: it
+ran out of time. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
+λ trades bias for variance. With λ = 0, A_t is δ_t: little noise, but errors of V make A wrong
+(bias). With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): much noise,
+hardly any bias. In between, V does its part although it is never quite right.
+
+= REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
+episode has to be played to its end (3, 4); N environments at a time, soon each at another point of
+its episode, so that a short rollout holds enough variety, and one call of the network serves all
+(1). Left out: the asynchronous workers of [1], each of which updates the weights on its own; layers
+that actor and critic share; images; continuous actions.
+
+Symbols: γ discount; c_H weight; H = −E[log π] entropy, large if π is undecided: it keeps π from
+    settling on one action too early.
+Shapes: T steps of N environments, B = T·N; D numbers in a state; K actions.
+Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
+References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
+    2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
+    al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization for
+    Transferring Deep Neural Networks from Simulation to the Real World.
+    [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances.
 """
 
 import argparse
@@ -49,22 +90,22 @@ def parse_args(argv=None):
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="of all environments together")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="of all environments")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="folder in which the folder of this run is made")
     add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="LunarLander-v3", help="any id, also my_module:MyEnv-v0")
+    add("--env-id", default="LunarLander-v3",
+        help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="new physics for LunarLander in each episode")
-    add("--play", action="store_true", help="play it yourself: keys 0, 1, ... are the actions")
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=32, help="steps of each in a rollout, T")
     add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; falls to 0")
-    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="the same of the critic")
+    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="bias (0) to variance (1), λ")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
@@ -209,12 +250,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−E[A·log π(a|s)]: actions better than expected become more likely; (B,) each."""
+    """−mean(A·log π); (B,) each. What counts is its gradient: a lower loss is no better policy."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·E[(V − R)²]; (B,) each. The targets R are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -257,11 +298,14 @@ def train(args, seed, folder, position=0):
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # eps: smaller gradients than 1e-5 move nothing, which is calmer than Adam's usual 1e-8
-    optimizer = torch.optim.Adam([
-        {"params": agent.actor.parameters(), "lr": args.learning_rate},
-        {"params": agent.critic.parameters(), "lr": args.critic_learning_rate}], eps=1e-5, fused=True)
+    groups = [{"params": agent.actor.parameters(), "lr": args.learning_rate},
+              {"params": agent.critic.parameters(), "lr": args.critic_learning_rate}]
+    optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
     rates = [group["lr"] for group in optimizer.param_groups]
     log = Log(args, seed, folder, agent, optimizer, position)
+    if args.resume:
+        resume(log)
+    log.save()
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
     batch_size = args.num_envs * args.rollout_steps
     num_updates = math.ceil(args.total_steps / batch_size)
@@ -283,9 +327,10 @@ def train(args, seed, folder, position=0):
 
 
 class RandomPhysics(gym.Wrapper):
-    """New gravity in each episode of LunarLander, and in half of them new wind and turbulence ([4]).
+    """New gravity in each episode of LunarLander, new wind and turbulence in half of them ([4]).
 
-    The generator is its own, seeded by `reset`. Physics are set before the reset, which uses them.
+    None of them is in the observation: π has to land without knowing them, as a real lander would.
+    They are drawn by a generator of their own, and before the reset, which already uses them.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -364,16 +409,6 @@ def watch(args):
     pictures[0].save(gif, save_all=True, append_images=pictures[1:], duration=1000 * every / fps)
 
 
-def play(env_id):
-    """Play it yourself: key 0 is action 0, and so on; Esc ends."""
-    import gymnasium.utils.play  # here, since it opens a window
-    env = record_episodes(gym.make(env_id, render_mode="rgb_array"))
-    keys = {str(i): env.action_space.start + i for i in range(env.action_space.n)}
-    gymnasium.utils.play.play(
-        env, keys_to_action=keys, noop=env.action_space.start,
-        callback=lambda *step: step[-1] and print("return", step[-1]["episode"]["r"]))
-
-
 # --- Files ----------------------------------------------------------------------------------------
 
 
@@ -381,23 +416,14 @@ class Log:
     """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
 
     def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.agent, self.optimizer = args, seed, agent, optimizer
-        self.folder = folder if args.resume else folder / f"seed-{seed}"
+        self.args, self.seed, self.folder = args, seed, folder
+        self.agent, self.optimizer = agent, optimizer
         self.tables = {"evals": [], "episodes": [], "metrics": []}
         self.env_step, self.seconds = 0, 0.0
         self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        if args.resume:  # the episodes that were going on are lost
-            checkpoint = torch.load(args.resume, args.device, weights_only=True)
-            agent.load_state_dict(checkpoint["agent"])
-            optimizer.load_state_dict(checkpoint["optimizer"])
-            torch.set_rng_state(checkpoint["rng"].cpu())
-            self.tables = checkpoint["tables"]
-            last = self.tables["evals"].pop()  # `save` makes this row again
-            self.env_step, self.seconds = last["env_step"], last["seconds"]
         self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        initial=self.env_step, position=position, leave=False,
+                        position=position, leave=False,
                         mininterval=0.1 if sys.stderr.isatty() else 30)
-        self.save()
 
     def update(self, steps, episodes, diagnostics):
         """Keep the rows of an update that took `steps` environment steps."""
@@ -408,16 +434,16 @@ class Log:
             "env_step": self.env_step, **diagnostics,
             "learning_rate": self.optimizer.param_groups[0]["lr"],
             "steps_per_second": self.env_step / self.seconds})
-        pause = self.args.total_steps / self.args.num_evals
         self.clock = time.perf_counter()
-        due = self.tables["evals"][-1]["env_step"] + pause
-        if self.env_step >= min(due, self.args.total_steps):
+        pause = self.args.total_steps / self.args.num_evals
+        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
+        if self.env_step >= due:
             self.save()
         evaluation = self.tables["evals"][-1]["return_mean"]
         returns = [row["return"] for row in self.tables["episodes"][-20:]]
         training = f"{np.mean(returns):.0f}" if returns else "not known yet"
         self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(steps, self.bar.total - self.bar.n))
+        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
 
     def save(self):
         """Evaluate, then write all files."""
@@ -433,6 +459,17 @@ class Log:
         torch.save(state, self.folder / "checkpoint.tmp")
         os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
         self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+
+
+def resume(log):
+    """Bring back agent, optimizer and tables. Episodes that were going on are lost."""
+    checkpoint = torch.load(log.args.resume, log.args.device, weights_only=True)
+    log.agent.load_state_dict(checkpoint["agent"])
+    log.optimizer.load_state_dict(checkpoint["optimizer"])
+    torch.set_rng_state(checkpoint["rng"].cpu())
+    log.tables = checkpoint["tables"]
+    last = log.tables["evals"].pop()  # `save` makes this row again
+    log.env_step, log.seconds = last["env_step"], last["seconds"]
 
 
 # --- Plot -----------------------------------------------------------------------------------------
@@ -492,7 +529,7 @@ def number(kind, low, high=1e12):
         value = float(text)
         if low <= value <= high and kind(value) == value:
             return kind(value)
-        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} from {low} to {high:g}")
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
     return parse
 
@@ -507,8 +544,11 @@ def check(parser, argv):
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-    except Exception:  # missing, cut short, something else
-        parser.error(f"argument --watch or --resume: {path} is not a checkpoint")
+            env = gym.make(args.env_id)
+            agent = Agent(env.observation_space, env.action_space, args)
+            agent.load_state_dict(checkpoint["agent"])
+    except Exception as error:  # missing, cut short, of another script, does not fit other flags
+        parser.error(f"argument --watch or --resume: {path}: {error!r}".splitlines()[0])
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError) as error:  # which names the nearest environment
@@ -522,15 +562,8 @@ def check(parser, argv):
         parser.error(f"argument --env-id: takes Discrete actions, not {actions} ({hint})")
     if args.randomize and not hasattr(env.unwrapped, "wind_power"):
         parser.error(f"argument --randomize: takes LunarLander, not {args.env_id}")
-    if path:
-        try:
-            Agent(observations, actions, args).load_state_dict(checkpoint["agent"])
-        except (KeyError, RuntimeError):
-            parser.error(f"argument --watch or --resume: {path} does not fit this script and flags")
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
-    if env.spec.max_episode_steps is None:
-        print(f"{args.env_id} has no time limit: episodes end after 10,000 steps", flush=True)
     return args
 
 
@@ -551,11 +584,14 @@ def make_folder(args):
 
 
 def train_seeds(args, folder):
-    """Several seeds side by side, in processes of their own."""
+    """One seed here, several side by side in processes of their own."""
+    folders = [folder / f"seed-{seed}" for seed in args.seed]
+    if len(folders) == 1:
+        return train(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, seed, folder, i) for i, seed in enumerate(args.seed)]
+    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
@@ -570,7 +606,7 @@ def report(folder, args):
         last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
         print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
               f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if last["env_step"] < args.total_steps:
+        if "resume" in args and last["env_step"] < args.total_steps:
             print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
@@ -579,14 +615,12 @@ def main():
     args = parse_args()
     if args.watch:
         return watch(args)
-    if args.play:
-        return play(args.env_id)
     folder = Path(args.resume).parent if args.resume else make_folder(args)
     try:
-        if len(args.seed) > 1:
-            train_seeds(args, folder)
-        else:
+        if args.resume:
             train(args, args.seed[0], folder)
+        else:
+            train_seeds(args, folder)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()

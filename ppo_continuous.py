@@ -14,47 +14,48 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-It learns to balance a double pendulum: 9,300 of 9,350 points after 150,000 steps, half a minute.
+It learns to balance a double pendulum: 9,320 of 9,350 points after 150,000 steps, 20 seconds.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 
-An agent sees a state s, acts, gets a reward r and sees the next state, until the episode ends. It
-learns two things. The actor π(u|s) is a probability density over actions. The critic V(s) predicts
-the discounted sum of the rewards that will follow s, if π goes on.
-  1. Play T steps in N environments with π, called π_old from now on: draw u_t ~ N(μ(s_t), σ²).
-     The environment gets the action a_t = g(u_t); g squeezes u into the bounds of the actions.
-  2. Divide the rewards by a running standard deviation, so that V predicts numbers of size 1.
+In a state s the actor π(u|s), a probability density, draws u. The environment turns it into an
+action, answers with a reward r and the next state, and so on until the episode ends. The critic
+V(s) predicts the discounted sum of the rewards that will follow s.
+  1. Play T steps in each of N environments with π, from now on called π_old:  u_t ~ N(μ(s_t), σ²).
+     The action is a_t = g(u_t), where g squeezes any number into the bounds that actions have.
+  2. Divide the rewards r by a running standard deviation, so that V predicts numbers of size 1.
   For several epochs, each a pass over all T·N steps:
-  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
-  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)   advantage, target of the critic
-       For each minibatch, a random share of the steps, with the ratio ρ = π(u|s) / π_old(u|s):
-  5.     If π is too far from π_old, KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] > max_kl, end all epochs.
-  6.     A step of Adam on  −E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)] + c_V·½·E[(V(s) − R)²] − c_H·H,
-         with A standardised (mean 0, standard deviation 1) and the gradient shortened if too long.
+  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)        how much better than V predicted
+  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      advantage, target of the critic
+       For each minibatch, M of the steps drawn at random, with the ratio ρ = π(u|s) / π_old(u|s):
+  5.     If π has moved too far from π_old, KL ≈ mean(ρ − 1 − log ρ) > max_kl, end all epochs.
+  6.     A step of Adam on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + c_V·½·mean((V(s) − R)²) − c_H·H,
+         with A standardised (mean 0, standard deviation 1) and too long gradients shortened.
   7. Update the mean and variance that normalise s. Lower the learning rate. Go to 1.
 
-Why it works. The aim is a large expected return E[G] = ∫π·G, where G is the sum of rewards. Its
-gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which can be estimated from episodes that π played:
-push up the probability of each action by how much followed. Any number that does not depend on the
-action can be subtracted from G, since E[∇log π] = ∫∇π = ∇1 = 0. With V subtracted, an action counts
-by how much better than usual it turned out: the advantage A. So E[A·∇log π] is the direction to go.
-PPO takes many steps on the same data. They begin in this direction, for at π = π_old the gradient
-of E[ρ·A] is E[A·∇log π]. Later the data says less and less about π: 5 and the clip in 6 see to it
-that π does not go far.
+Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
+gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which the steps of 1 can estimate: push up the
+probability of each action by how much followed it. A number that does not depend on the action may
+be subtracted from G, for E[∇log π] = ∫∇π = ∇1 = 0. With V(s) subtracted, an action counts by how
+much better than usual it turned out. That is the advantage A: the same direction, but less noise.
+PPO takes many steps on the same data. The first follows the same gradient, since ∇ρ = ∇log π at
+π = π_old. Later the data, drawn by π_old, tells less and less about π. So 5 and the clip in 6 keep
+π close to π_old.
 
-terminated: the episode ended for good (the pole fell), so no reward can follow. truncated: it only
-ran out of time. Rewards would have followed, and V(s_{t+1}) stands for them. done: either of them.
-λ trades bias for variance. With λ = 0, A_t = δ_t: little noise, but wrong as far as V is wrong.
-With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): noisy, but right.
+terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: it
+ran out of time. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
+λ trades bias for variance. With λ = 0, A_t is δ_t: little noise, but errors of V make A wrong
+(bias). With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): much noise,
+hardly any bias. In between, V does its part although it is never quite right.
 
 = A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
-minibatches, the KL limit (5), the clipped objective (6). Unlike [1], 3 and 4 are done anew in each
-epoch, with the critic as it is by then ([6]). Left out: recurrent networks, images, value clipping.
+minibatches, the KL limit (5), the clip (6). Unlike [1], 3 and 4 are done anew in each epoch, with
+the critic as it is by then ([6]). Left out: recurrent networks, images, discrete actions.
 
-Symbols: E mean over the steps at hand; γ discount; ε clip range; c_V, c_H weights of the losses;
-    KL(p ‖ q) = E_p[log p − log q], 0 if p = q; H entropy −E[log π], large if π is undecided.
-Shapes: T steps of N environments, M steps in a minibatch, D numbers in a state, K in an action.
-Units: returns in files and figures are sums of raw rewards; environment steps; seconds.
+Symbols: γ discount; ε clip range; c_V, c_H weights; H = −E[log π] entropy, large if π is undecided;
+    KL(π_old ‖ π) = E[log π_old − log π], over actions of π_old: 0 if both are the same, else more.
+Shapes: T steps of N environments; M steps in a minibatch; D numbers in a state; K in an action.
+Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
 References: [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Schulman 2020, Approximating KL Divergence.
@@ -95,13 +96,14 @@ def parse_args(argv=None):
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
-    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments together")
+    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="folder in which the folder of this run is made")
     add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="InvertedDoublePendulum-v5", help="any id, also my_module:MyEnv-v0")
+    add("--env-id", default="InvertedDoublePendulum-v5",
+        help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add = parser.add_argument_group("algorithm").add_argument
@@ -305,7 +307,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(ratio, advantages, clip_eps):
-    """−E[min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)]; (M,) each ([1] eq. 7).
+    """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); (M,) each ([1] eq. 7).
 
     Where A > 0 the gradient is 0 once ρ > 1 + ε, where A < 0 once ρ < 1 − ε: nothing is gained by
     going further. Where ρ went the wrong way, min takes the term that leads back: with ε = 0.2,
@@ -316,12 +318,12 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def value_loss(values, targets):
-    """½·E[(V − R)²]; (B,) each. The targets R are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
     return ((values - targets) ** 2).mean() / 2
 
 
 def approximate_kl(log_ratio):
-    """KL(π_old ‖ π) ≈ E[ρ − 1 − log ρ] on samples of π_old: never negative, little noise ([4])."""
+    """KL(π_old ‖ π) ≈ mean(ρ − 1 − log ρ): never negative, and little noise ([4]); (M,) -> ()."""
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) = exp(x) − 1, exact near 0
 
 
@@ -387,9 +389,13 @@ def train(args, seed, folder, position=0):
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # eps: smaller gradients than 1e-5 move nothing, which is calmer than Adam's usual 1e-8
-    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
+    groups = [{"params": agent.parameters(), "lr": args.learning_rate}]
+    optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
     rates = [group["lr"] for group in optimizer.param_groups]
     log = Log(args, seed, folder, agent, optimizer, position)
+    if args.resume:
+        resume(log)
+    log.save()
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
     past_return = 0.0
     batch_size = args.num_envs * args.rollout_steps
@@ -486,23 +492,14 @@ class Log:
     """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
 
     def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.agent, self.optimizer = args, seed, agent, optimizer
-        self.folder = folder if args.resume else folder / f"seed-{seed}"
+        self.args, self.seed, self.folder = args, seed, folder
+        self.agent, self.optimizer = agent, optimizer
         self.tables = {"evals": [], "episodes": [], "metrics": []}
         self.env_step, self.seconds = 0, 0.0
         self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        if args.resume:  # the episodes that were going on are lost
-            checkpoint = torch.load(args.resume, args.device, weights_only=True)
-            agent.load_state_dict(checkpoint["agent"])
-            optimizer.load_state_dict(checkpoint["optimizer"])
-            torch.set_rng_state(checkpoint["rng"].cpu())
-            self.tables = checkpoint["tables"]
-            last = self.tables["evals"].pop()  # `save` makes this row again
-            self.env_step, self.seconds = last["env_step"], last["seconds"]
         self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        initial=self.env_step, position=position, leave=False,
+                        position=position, leave=False,
                         mininterval=0.1 if sys.stderr.isatty() else 30)
-        self.save()
 
     def update(self, steps, episodes, diagnostics):
         """Keep the rows of an update that took `steps` environment steps."""
@@ -513,16 +510,16 @@ class Log:
             "env_step": self.env_step, **diagnostics,
             "learning_rate": self.optimizer.param_groups[0]["lr"],
             "steps_per_second": self.env_step / self.seconds})
-        pause = self.args.total_steps / self.args.num_evals
         self.clock = time.perf_counter()
-        due = self.tables["evals"][-1]["env_step"] + pause
-        if self.env_step >= min(due, self.args.total_steps):
+        pause = self.args.total_steps / self.args.num_evals
+        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
+        if self.env_step >= due:
             self.save()
         evaluation = self.tables["evals"][-1]["return_mean"]
         returns = [row["return"] for row in self.tables["episodes"][-20:]]
         training = f"{np.mean(returns):.0f}" if returns else "not known yet"
         self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(steps, self.bar.total - self.bar.n))
+        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
 
     def save(self):
         """Evaluate, then write all files."""
@@ -538,6 +535,17 @@ class Log:
         torch.save(state, self.folder / "checkpoint.tmp")
         os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
         self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+
+
+def resume(log):
+    """Bring back agent, optimizer and tables. Episodes that were going on are lost."""
+    checkpoint = torch.load(log.args.resume, log.args.device, weights_only=True)
+    log.agent.load_state_dict(checkpoint["agent"])
+    log.optimizer.load_state_dict(checkpoint["optimizer"])
+    torch.set_rng_state(checkpoint["rng"].cpu())
+    log.tables = checkpoint["tables"]
+    last = log.tables["evals"].pop()  # `save` makes this row again
+    log.env_step, log.seconds = last["env_step"], last["seconds"]
 
 
 # --- Plot -----------------------------------------------------------------------------------------
@@ -598,7 +606,7 @@ def number(kind, low, high=1e12):
         value = float(text)
         if low <= value <= high and kind(value) == value:
             return kind(value)
-        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} from {low} to {high:g}")
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
     return parse
 
@@ -613,8 +621,11 @@ def check(parser, argv):
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-    except Exception:  # missing, cut short, something else
-        parser.error(f"argument --watch or --resume: {path} is not a checkpoint")
+            env = gym.make(args.env_id)
+            agent = Agent(env.observation_space, env.action_space, args)
+            agent.load_state_dict(checkpoint["agent"])
+    except Exception as error:  # missing, cut short, of another script, does not fit other flags
+        parser.error(f"argument --watch or --resume: {path}: {error!r}".splitlines()[0])
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError) as error:  # which names the nearest environment
@@ -627,15 +638,8 @@ def check(parser, argv):
     if not box or not actions.is_bounded():
         hint = "a2c_vector.py takes Discrete, reinforce_mujoco.py unbounded ones"
         parser.error(f"argument --env-id: takes flat, bounded Box actions, not {actions} ({hint})")
-    if path:
-        try:
-            Agent(observations, actions, args).load_state_dict(checkpoint["agent"])
-        except (KeyError, RuntimeError):
-            parser.error(f"argument --watch or --resume: {path} does not fit this script and flags")
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
-    if env.spec.max_episode_steps is None:
-        print(f"{args.env_id} has no time limit: episodes are cut off after 10,000 steps")
     return args
 
 
@@ -656,11 +660,14 @@ def make_folder(args):
 
 
 def train_seeds(args, folder):
-    """Several seeds side by side, in processes of their own."""
+    """One seed here, several side by side in processes of their own."""
+    folders = [folder / f"seed-{seed}" for seed in args.seed]
+    if len(folders) == 1:
+        return train(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, seed, folder, i) for i, seed in enumerate(args.seed)]
+    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
@@ -675,7 +682,7 @@ def report(folder, args):
         last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
         print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
               f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if last["env_step"] < args.total_steps:
+        if "resume" in args and last["env_step"] < args.total_steps:
             print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
@@ -686,10 +693,10 @@ def main():
         return watch(args)
     folder = Path(args.resume).parent if args.resume else make_folder(args)
     try:
-        if len(args.seed) > 1:
-            train_seeds(args, folder)
-        else:
+        if args.resume:
             train(args, args.seed[0], folder)
+        else:
+            train_seeds(args, folder)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()

@@ -14,7 +14,45 @@
 # ///
 """REINFORCE: the policy gradient with Monte-Carlo returns, in one file.
 
-DOC
+It learns to balance a pole on a cart: 1000 of 1000 points after 190,000 steps, half a minute.
+
+    python reinforce_mujoco.py --seed 1 2 3 5 8
+
+In a state s the policy π(u|s), a probability density, draws an action u. The environment answers
+with a reward r and the next state, and so on until the episode ends at step T.
+  1. Play a few episodes with π:  u_t ~ N(μ(s_t), σ(s_t)²).
+  2. G_t = r_t + γ·G_{t+1},  G_T = 0   the reward-to-go: the discounted rewards that u_t can affect
+  3. A_t = G_t − b_t   how much better than the baseline b, which --baseline chooses:
+       none   b_t = 0
+       mean   b_t = the mean of G over all steps of 1; A is also divided by their standard deviation
+       value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
+  4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over all steps of 1.
+     (Without a critic, the second part is a constant.)
+  5. Lower the learning rate. Throw the episodes away: the new π would play others. Go to 1.
+
+Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
+gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π] ([1]; [2] section 13.3), which the steps of 1 can
+estimate: push up the probability of each action by how much followed it. If no G is negative, as
+here, every action that was tried is pushed up, and only the differences between large numbers
+teach anything. A baseline takes away what they have in common, and with it most of the noise. On
+average it changes nothing, for E[b·∇log π] = b·∫∇π = b·∇1 = 0 if b does not depend on u.
+`tests/benchmark.py baselines` measures what it is worth.
+(Small biases remain: G_t is a part of its own baseline in `mean`; the number of steps that the
+means divide by depends on the actions; later steps should count less by γ^t, which nobody does.)
+
+A time limit looks like an end after which no reward comes, so the last 1/(1−γ) steps or so before
+it (50 by default) look worse than they are. With --baseline value, G_T = V(s_T) mends that ([3]).
+
+Left out: a critic that stands for rewards still to come, so that no episode has to be played to its
+end, and several environments at a time (a2c_vector.py adds both); several gradient steps on the
+same data (ppo_continuous.py adds them).
+
+Symbols: γ discount of later rewards; μ, σ mean and standard deviation of the actions.
+Shapes: T steps of an episode; B steps of all episodes of 1; D numbers in a state; K in an action.
+Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
+References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
+    Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
+    [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
 """
 
 import argparse
@@ -54,10 +92,10 @@ def parse_args(argv=None):
     add("--total-steps", type=number(int, 1), default=190_000, help="length of the training")
     add("--device", choices=devices, default="cpu", help="where the networks are computed")
     add("--out-dir", default="runs", help="folder in which the folder of this run is made")
-    add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="InvertedPendulum-v5", help="its id, also my_module:MyEnv-v0")
+    add("--env-id", default="InvertedPendulum-v5",
+        help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes of an update")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="0, mean or V(s), b")
@@ -168,12 +206,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−E[A·log π(u|s)]; (B,) each. Its gradient is what counts; that it falls means nothing."""
+    """−mean(A·log π); (B,) each. What counts is its gradient: a lower loss is no better policy."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·E[(V − G)²]; (B,) each. The targets are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -209,6 +247,7 @@ def train(args, seed, folder, position=0):
     agent = Agent(env.observation_space, env.action_space, args).to(args.device)
     optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)
     log = Log(args, seed, folder, agent, optimizer, position)
+    log.save()
     env.reset(seed=make_seeds(seed, 2 + log.env_step, count=1)[0])  # once: each episode differs
     while log.env_step < args.total_steps:
         share = 1 - log.env_step / args.total_steps
@@ -290,23 +329,14 @@ class Log:
     """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
 
     def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.agent, self.optimizer = args, seed, agent, optimizer
-        self.folder = folder if args.resume else folder / f"seed-{seed}"
+        self.args, self.seed, self.folder = args, seed, folder
+        self.agent, self.optimizer = agent, optimizer
         self.tables = {"evals": [], "episodes": [], "metrics": []}
         self.env_step, self.seconds = 0, 0.0
         self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        if args.resume:  # the episodes that were going on are lost
-            checkpoint = torch.load(args.resume, args.device, weights_only=True)
-            agent.load_state_dict(checkpoint["agent"])
-            optimizer.load_state_dict(checkpoint["optimizer"])
-            torch.set_rng_state(checkpoint["rng"].cpu())
-            self.tables = checkpoint["tables"]
-            last = self.tables["evals"].pop()  # `save` makes this row again
-            self.env_step, self.seconds = last["env_step"], last["seconds"]
         self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        initial=self.env_step, position=position, leave=False,
+                        position=position, leave=False,
                         mininterval=0.1 if sys.stderr.isatty() else 30)
-        self.save()
 
     def update(self, steps, episodes, diagnostics):
         """Keep the rows of an update that took `steps` environment steps."""
@@ -317,16 +347,16 @@ class Log:
             "env_step": self.env_step, **diagnostics,
             "learning_rate": self.optimizer.param_groups[0]["lr"],
             "steps_per_second": self.env_step / self.seconds})
-        pause = self.args.total_steps / self.args.num_evals
         self.clock = time.perf_counter()
-        due = self.tables["evals"][-1]["env_step"] + pause
-        if self.env_step >= min(due, self.args.total_steps):
+        pause = self.args.total_steps / self.args.num_evals
+        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
+        if self.env_step >= due:
             self.save()
         evaluation = self.tables["evals"][-1]["return_mean"]
         returns = [row["return"] for row in self.tables["episodes"][-20:]]
         training = f"{np.mean(returns):.0f}" if returns else "not known yet"
         self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(steps, self.bar.total - self.bar.n))
+        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
 
     def save(self):
         """Evaluate, then write all files."""
@@ -400,7 +430,7 @@ def number(kind, low, high=1e12):
         value = float(text)
         if low <= value <= high and kind(value) == value:
             return kind(value)
-        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} from {low} to {high:g}")
+        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
     return parse
 
@@ -409,14 +439,16 @@ def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
-    path = args.watch or args.resume
     try:
-        if path:
-            checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
+        if args.watch:
+            checkpoint = torch.load(args.watch, "cpu", weights_only=True)  # runs no code from it
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-    except Exception:  # missing, cut short, something else
-        parser.error(f"argument --watch or --resume: {path} is not a checkpoint")
+            env = gym.make(args.env_id)
+            agent = Agent(env.observation_space, env.action_space, args)
+            agent.load_state_dict(checkpoint["agent"])
+    except Exception as error:  # missing, cut short, of another script, does not fit other flags
+        parser.error(f"argument --watch: {args.watch}: {error!r}".splitlines()[0])
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError) as error:  # which names the nearest environment
@@ -428,15 +460,8 @@ def check(parser, argv):
     if not isinstance(actions, gym.spaces.Box) or len(actions.shape) != 1:
         hint = "a2c_vector.py takes Discrete ones"
         parser.error(f"argument --env-id: takes flat Box actions, not {actions} ({hint})")
-    if path:
-        try:
-            Agent(observations, actions, args).load_state_dict(checkpoint["agent"])
-        except (KeyError, RuntimeError):
-            parser.error(f"argument --watch or --resume: {path} does not fit this script and flags")
-    if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
-        parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
-    if env.spec.max_episode_steps is None:
-        print(f"{args.env_id} has no time limit: episodes end after 10,000 steps", flush=True)
+    if len(set(args.seed)) < len(args.seed):
+        parser.error(f"argument --seed: got {args.seed}, takes each once")
     return args
 
 
@@ -457,11 +482,14 @@ def make_folder(args):
 
 
 def train_seeds(args, folder):
-    """Several seeds side by side, in processes of their own."""
+    """One seed here, several side by side in processes of their own."""
+    folders = [folder / f"seed-{seed}" for seed in args.seed]
+    if len(folders) == 1:
+        return train(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, seed, folder, i) for i, seed in enumerate(args.seed)]
+    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
@@ -476,7 +504,7 @@ def report(folder, args):
         last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
         print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
               f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if last["env_step"] < args.total_steps:
+        if "resume" in args and last["env_step"] < args.total_steps:
             print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
@@ -485,12 +513,9 @@ def main():
     args = parse_args()
     if args.watch:
         return watch(args)
-    folder = Path(args.resume).parent if args.resume else make_folder(args)
+    folder = make_folder(args)
     try:
-        if len(args.seed) > 1:
-            train_seeds(args, folder)
-        else:
-            train(args, args.seed[0], folder)
+        train_seeds(args, folder)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()
