@@ -17,39 +17,49 @@ It learns to land on the moon: 210 points (200 count as solved) after 1,000,000 
 
     python a2c_vector.py --seed 1 2 3 4 5
 
-In a state s the actor π(a|s), a probability for each of K actions, draws an action a. The
-environment answers with a reward r and the next state, and so on until the episode ends. The critic
-V(s) predicts the discounted sum of the rewards that will follow s.
-  1. Play T steps in each of N environments with π:  a_t ~ π(·|s_t).
-  2. Multiply the rewards r by a constant, so that V predicts numbers of moderate size.
-  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)        how much better than V predicted
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      advantage, target of the critic
-  5. A step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
-     with A standardised (mean 0, standard deviation 1) and too long gradients shortened.
-  6. Update the mean and variance that normalise s. Lower the learning rates. Go to 1.
+In a state s (`obs` in the code) the actor, a network, gives each of K actions a probability π(a|s)
+and draws one. The environment answers with a reward r and the next state, and so on until the
+episode ends.
+The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
+discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
+  1. Play a rollout: T steps in each of N environments with π.
+  2. Multiply the rewards by a constant, so that V predicts numbers of moderate size.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
+     R_t = A_t + V(s_t)                                                target of the critic
+  5. With A standardised (mean 0, std 1), a step of Adam on
+         −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
+     the gradients of actor and critic each shortened to max_grad_norm if longer.
+  6. Update the mean and std that normalise s. Lower the learning rates. Go to 1.
 
-Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
-gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which the steps of 1 can estimate: push up the
-probability of each action by how much followed it. A number that does not depend on the action may
-be subtracted from G, for E[∇log π] = ∫∇π = ∇1 = 0. With V(s) subtracted, an action counts by how
-much better than usual it turned out. That is the advantage A: the same direction, but less noise.
+terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
+time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
+λ sets how far A trusts V. With λ = 0, A_t is δ_t: one reward, the rest is V. It varies little, but
+errors of V make it wrong (bias). With λ = 1, the V in between cancel out: A_t is the discounted sum
+of the rewards that came (and V where the rollout or a time limit cuts them off) minus V(s_t). It
+has hardly any bias, but varies a lot (variance). A λ in between is a compromise.
 
-terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: it
-ran out of time. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-λ trades bias for variance. With λ = 0, A_t is δ_t: little noise, but errors of V make A wrong
-(bias). With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): much noise,
-hardly any bias. In between, V does its part although it is never quite right.
+Why it works. The aim is a large expected return E[G]. Let ∇ be its gradient in the weights of π.
+Look at one action in one state, after which G is to be expected. Then
+    ∇E[G] = ∇Σ_a π(a|s)·G = Σ_a ∇π·G = Σ_a π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
+(G depends on π as well, through later actions. Each of those gets such a term of its own; the sum
+over all steps is the whole gradient.) The rollout can estimate it: push up the probability of each
+action by how much followed it. A number b may be subtracted from G if it does not depend on the
+action, for E[b·∇log π] = b·Σ_a ∇π = b·∇Σ_a π = b·∇1 = 0. With b = V(s), an action counts by
+how much better than expected it turned out. That is the advantage A: the same gradient on average,
+but with less noise.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
-episode has to be played to its end (3, 4); N environments at a time, soon each at another point of
-its episode, so that a short rollout holds enough variety, and one call of the network serves all
-(1). Left out: the asynchronous workers of [1], each of which updates the weights on its own; layers
-that actor and critic share; images; continuous actions.
+episode has to be played to its end (3, 4); N environments at a time, before long each at another
+point of its episode, so that a short rollout is varied, and one call of the actor serves all (1).
+Left out: the asynchronous workers of [1], each of which updates the weights on its own (here, with
+--vectorization async too, all wait for each other); layers that both networks share; images;
+continuous actions.
 
-Symbols: γ discount; c_H weight; H = −E[log π] entropy, large if π is undecided: it keeps π from
-    settling on one action too early.
-Shapes: T steps of N environments, B = T·N; D numbers in a state; K actions.
-Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
+Symbols: γ discount; c_H weight; H = −E[log π] entropy, large if π is undecided: its weight keeps π
+    from settling on one action too early.
+Shapes: T steps of N environments; B rows of a batch; D numbers in s; K actions.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization for
@@ -90,9 +100,9 @@ def parse_args(argv=None):
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="of all environments")
-    add("--device", choices=devices, default="cpu", help="where the networks are computed")
-    add("--out-dir", default="runs", help="folder in which the folder of this run is made")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
+    add("--device", choices=devices, default="cpu", help="what computes the networks")
+    add("--out-dir", default="runs", help="where the folder of this run is made")
     add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
@@ -102,17 +112,17 @@ def parse_args(argv=None):
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="new physics for LunarLander in each episode")
     add = parser.add_argument_group("algorithm").add_argument
-    add("--rollout-steps", type=number(int, 1), default=32, help="steps of each in a rollout, T")
+    add("--rollout-steps", type=number(int, 1), default=32, help="steps of each environment, T")
     add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
-    add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; falls to 0")
-    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
+    add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
+    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic, too")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="bias (0) to variance (1), λ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0: bias, 1: variance, λ")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one before it all")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -137,21 +147,25 @@ class RunningNorm(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Pool `rows` (B, …) with all earlier ones ([5])."""
+        """Pool `rows` (B, …) with all earlier ones ([5]). With the share w of the new ones:
+
+        mean ← (1−w)·mean + w·mean_new
+        var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        """
         rows = rows.float()  # observations may be integers
         self.count += len(rows)
         weight = len(rows) / self.count
-        spread = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # between the new rows and the old
+        gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
         # A dimension that never moved must not divide by zero.
-        self.var.lerp_(rows.var(0, correction=0) + spread, weight).clamp_(min=1e-8)
+        self.var.lerp_(rows.var(0, correction=0) + gap, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
 
 def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
-    The gain √2 keeps the signal's size through a ReLU, and does no harm with tanh. With an output
-    gain of 0.01 all actions start alike in all states, so that none has to be unlearned.
+    A gain of √2 makes up for what the activation takes from the signal. With an output gain of 0.01
+    the actor treats all states alike at first, so it begins without an opinion.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -161,7 +175,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and the statistics that normalise."""
+    """The actor π(a|s), the critic V(s), and the mean and variance that normalise states."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -182,7 +196,10 @@ class Agent(nn.Module):
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples of π (N,), or its likeliest action, and actions (N,)."""
+        """NumPy (N, D) -> NumPy: samples of π (N,), or its likeliest action, and actions (N,).
+
+        Samples count from 0, actions as the environment counts them.
+        """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
         samples = (policy.logits.argmax(-1) if deterministic else policy.sample()).cpu().numpy()
@@ -198,9 +215,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
     Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
-    An environment whose episode ends starts the next one within the same step: new_obs[i] is the
-    first observation of the next episode, and the last one of this episode is in infos. So next_obs
-    is always of the same episode as obs.
+    An environment whose episode ends starts the next one within the same step. Two observations
+    then follow obs[i]: the first one of the next episode, new_obs[i], from which π plays on, and
+    the last one of this episode, found in infos, which goes into next_obs and to V.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -276,7 +293,7 @@ def optimise(agent, optimizer, batch, args):
     loss_pi = policy_loss(policy.log_prob(batch["samples"]), A)
     loss_v = value_loss(values, targets)
     optimizer.zero_grad()
-    (loss_pi - args.entropy_coef * entropy + loss_v).backward()  # they share no parameters
+    (loss_pi - args.entropy_coef * entropy + loss_v).backward()  # the networks share no weights
     grad_norm = nn.utils.clip_grad_norm_(
         agent.actor.parameters(), args.max_grad_norm, error_if_nonfinite=True)
     critic_norm = nn.utils.clip_grad_norm_(
@@ -297,7 +314,8 @@ def train(args, seed, folder, position=0):
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    # eps: smaller gradients than 1e-5 move nothing, which is calmer than Adam's usual 1e-8
+    # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
+    # gradients move a weight as far as large ones do; 1e-5 keeps them small.
     groups = [{"params": agent.actor.parameters(), "lr": args.learning_rate},
               {"params": agent.critic.parameters(), "lr": args.critic_learning_rate}]
     optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
@@ -305,7 +323,7 @@ def train(args, seed, folder, position=0):
     log = Log(args, seed, folder, agent, optimizer, position)
     if args.resume:
         resume(log)
-    log.save()
+    log.save()  # evaluates, too
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
     batch_size = args.num_envs * args.rollout_steps
     num_updates = math.ceil(args.total_steps / batch_size)
@@ -612,6 +630,8 @@ def report(folder, args):
 
 def main():
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
+    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+        sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
         return watch(args)

@@ -18,44 +18,53 @@ It learns to balance a double pendulum: 9,320 of 9,350 points after 150,000 step
 
     python ppo_continuous.py --seed 1 2 3 4 5
 
-In a state s the actor π(u|s), a probability density, draws u. The environment turns it into an
-action, answers with a reward r and the next state, and so on until the episode ends. The critic
-V(s) predicts the discounted sum of the rewards that will follow s.
-  1. Play T steps in each of N environments with π, from now on called π_old:  u_t ~ N(μ(s_t), σ²).
-     The action is a_t = g(u_t), where g squeezes any number into the bounds that actions have.
-  2. Divide the rewards r by a running standard deviation, so that V predicts numbers of size 1.
-  For several epochs, each a pass over all T·N steps:
-  3.   δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)        how much better than V predicted
-  4.   A_t = δ_t + γλ·(1 − done_t)·A_{t+1},  R_t = A_t + V(s_t)      advantage, target of the critic
-       For each minibatch, M of the steps drawn at random, with the ratio ρ = π(u|s) / π_old(u|s):
-  5.     If π has moved too far from π_old, KL ≈ mean(ρ − 1 − log ρ) > max_kl, end all epochs.
-  6.     A step of Adam on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + c_V·½·mean((V(s) − R)²) − c_H·H,
-         with A standardised (mean 0, standard deviation 1) and too long gradients shortened.
-  7. Update the mean and variance that normalise s. Lower the learning rate. Go to 1.
+In a state s (`obs` in the code) the actor, a network, has a probability density π(u|s) and draws u.
+The environment gets the action a = g(u), where g squeezes any number into the range that actions
+have. It answers with a reward r and the next state, and so on until the episode ends.
+The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
+discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
+  1. Play a rollout: T steps in each of N environments with π, called π_old from now on.
+  2. Divide the rewards by the running std of their discounted sums, so that V predicts numbers of
+     size 1. From here on r is the scaled reward.
+  For several epochs, each a pass over all T·N steps of the rollout:
+    3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
+    4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
+       R_t = A_t + V(s_t)                                                target of the critic
+    For each minibatch of M steps (shuffled, each step once), with ρ = π(u|s) / π_old(u|s):
+      5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 7.
+      6. With A standardised over the minibatch (mean 0, std 1), a step of Adam on
+         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + c_V·½·mean((V(s) − R)²) − c_H·H,
+         its gradient shortened to max_grad_norm if it is longer.
+  7. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
 
-Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
-gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π], which the steps of 1 can estimate: push up the
-probability of each action by how much followed it. A number that does not depend on the action may
-be subtracted from G, for E[∇log π] = ∫∇π = ∇1 = 0. With V(s) subtracted, an action counts by how
-much better than usual it turned out. That is the advantage A: the same direction, but less noise.
-PPO takes many steps on the same data. The first follows the same gradient, since ∇ρ = ∇log π at
-π = π_old. Later the data, drawn by π_old, tells less and less about π. So 5 and the clip in 6 keep
-π close to π_old.
+terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
+time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
+λ sets how far A trusts V. With λ = 0, A_t is δ_t: one reward, the rest is V. It varies little, but
+errors of V make it wrong (bias). With λ = 1, the V in between cancel out: A_t is the discounted sum
+of the rewards that came (and V where the rollout or a time limit cuts them off) minus V(s_t). It
+has hardly any bias, but varies a lot (variance). A λ in between is a compromise.
 
-terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: it
-ran out of time. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-λ trades bias for variance. With λ = 0, A_t is δ_t: little noise, but errors of V make A wrong
-(bias). With λ = 1, A_t is the discounted sum of the rewards that came, minus V(s_t): much noise,
-hardly any bias. In between, V does its part although it is never quite right.
+Why it works. The aim is a large expected return E[G]. Let ∇ be its gradient in the weights of π.
+Look at one action in one state, after which G is to be expected. Then
+    ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
+(G depends on π as well, through later actions. Each of those gets such a term of its own; the sum
+over all steps is the whole gradient.) The rollout can estimate it: push up the probability of each
+action by how much followed it. A number b may be subtracted from G if it does not depend on the
+action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by
+how much better than expected it turned out. That is the advantage A: the same gradient on average,
+but with less noise.
+PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ:
+E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du. The farther π is from π_old, the noisier this
+estimate, and the states are still those of π_old. So 5 and the clip in 6 keep π close to π_old.
 
 = A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
-minibatches, the KL limit (5), the clip (6). Unlike [1], 3 and 4 are done anew in each epoch, with
-the critic as it is by then ([6]). Left out: recurrent networks, images, discrete actions.
+minibatches, the KL limit (5), ρ and its clip (6). Unlike [1], 3 and 4 are done anew in each epoch,
+with the critic as it is by then ([6]). Left out: recurrent networks, images, discrete actions.
 
 Symbols: γ discount; ε clip range; c_V, c_H weights; H = −E[log π] entropy, large if π is undecided;
-    KL(π_old ‖ π) = E[log π_old − log π], over actions of π_old: 0 if both are the same, else more.
-Shapes: T steps of N environments; M steps in a minibatch; D numbers in a state; K in an action.
-Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
+    μ(s), σ mean and std of π; KL(π_old ‖ π) = E_old[log π_old − log π], 0 if both are the same.
+Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Schulman 2020, Approximating KL Divergence.
@@ -96,9 +105,9 @@ def parse_args(argv=None):
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
-    add("--total-steps", type=number(int, 1), default=150_000, help="of all environments")
-    add("--device", choices=devices, default="cpu", help="where the networks are computed")
-    add("--out-dir", default="runs", help="folder in which the folder of this run is made")
+    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps, at least")
+    add("--device", choices=devices, default="cpu", help="what computes the networks")
+    add("--out-dir", default="runs", help="where the folder of this run is made")
     add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
@@ -107,23 +116,23 @@ def parse_args(argv=None):
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add = parser.add_argument_group("algorithm").add_argument
-    add("--rollout-steps", type=number(int, 1), default=128, help="steps of each in a rollout, T")
+    add("--rollout-steps", type=number(int, 1), default=128, help="steps of each environment, T")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 1), default=512, help="steps in a minibatch, M")
-    add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam at first; falls to 0")
+    add("--minibatch-size", type=number(int, 1), default=512, help="at least this many steps, M")
+    add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="bias (0) to variance (1), λ")
-    add("--clip-eps", type=number(float, 0), default=0.2, help="how far the ratio may go from 1, ε")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0: bias, 1: variance, λ")
+    add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
-    add("--value-coef", type=number(float, 0), default=1.0, help="weight of the critic's loss, c_V")
+    add("--value-coef", type=number(float, 0), default=1.0, help="weight of the value loss, c_V")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; that of μ is 1")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
     add("--squash", choices=("tanh", "clip"), default="tanh", help="how actions are bounded, g")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one before it all")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -148,21 +157,25 @@ class RunningNorm(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Pool `rows` (B, …) with all earlier ones ([5])."""
+        """Pool `rows` (B, …) with all earlier ones ([5]). With the share w of the new ones:
+
+        mean ← (1−w)·mean + w·mean_new
+        var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        """
         rows = rows.float()  # observations may be integers
         self.count += len(rows)
         weight = len(rows) / self.count
-        spread = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # between the new rows and the old
+        gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
         # A dimension that never moved must not divide by zero.
-        self.var.lerp_(rows.var(0, correction=0) + spread, weight).clamp_(min=1e-8)
+        self.var.lerp_(rows.var(0, correction=0) + gap, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
 
 def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
-    The gain √2 keeps the signal's size through a ReLU, and does no harm with tanh. With an output
-    gain of 0.01 all actions start alike in all states, so that none has to be unlearned.
+    A gain of √2 makes up for what the activation takes from the signal. With an output gain of 0.01
+    the actor treats all states alike at first, so it begins without an opinion.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -172,11 +185,11 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 
 
 class Agent(nn.Module):
-    """The actor π(u|s) = N(μ(s), σ²), the critic V(s), and the statistics that normalise.
+    """The actor π(u|s) = N(μ(s), σ²), the critic V(s), what normalises states and rewards.
 
-    σ (K,) is the same in every state. log σ is std_speed times a parameter: Adam moves a parameter
-    by about the learning rate, however long its gradient, so with std_speed < 1 σ changes slowly,
-    and exploring goes on after the first success.
+    σ (K,) is the same in every state. The parameter is log σ / std_speed: Adam moves a parameter by
+    about the learning rate, whatever the size of its gradient, and so log σ by about std_speed
+    times the learning rate. Below 1, exploring goes on after the first success.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -202,8 +215,8 @@ class Agent(nn.Module):
     def bound(self, samples):
         """a = g(u): u (…, K) to [−1, 1] by tanh or by clipping, then stretched over [low, high].
 
-        For PPO, g is a part of the environment: it only asks for the density of u. (The density of
-        a = g(u) has one more factor. It is the same for π and π_old, so it cancels in the ratio.)
+        PPO may take g for a part of the environment, as it needs only the density of u. (With tanh,
+        that of a has the factor 1/|g'(u)| besides: the same for π and π_old, it cancels in ρ.)
         """
         unit = torch.tanh(samples) if self.squash == "tanh" else samples.clamp(-1, 1)
         return torch.lerp(self.low, self.high, (unit + 1) / 2)
@@ -237,9 +250,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
     Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
-    An environment whose episode ends starts the next one within the same step: new_obs[i] is the
-    first observation of the next episode, and the last one of this episode is in infos. So next_obs
-    is always of the same episode as obs.
+    An environment whose episode ends starts the next one within the same step. Two observations
+    then follow obs[i]: the first one of the next episode, new_obs[i], from which π plays on, and
+    the last one of this episode, found in infos, which goes into next_obs and to V.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -271,11 +284,11 @@ def rollout(envs, agent, obs, num_steps, env_step):
 def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
-    F, the discounted sum of an episode's rewards so far, varies about as much as the discounted sum
-    of those to come, which V predicts, and unlike it F is known at once. Rewards are not centred:
-    without their mean, long episodes would be worth more or less than they are.
-    `past_return` (N,) is F of the last step of the rollout before, 0 after an episode's end; that
-    of this rollout is returned for the next one.
+    F is the discounted sum of an episode's rewards so far. V predicts that of the rewards to come,
+    which is not known yet, but varies about as much. The mean of the rewards is not subtracted:
+    that would change what one more step of an episode is worth.
+    `past_return` (N,) is F after the rollout before, 0 where an episode ended. Returns the scaled
+    rewards, and F after this rollout.
     """
     rewards_by_step, done = rewards.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
     past_returns = np.empty_like(rewards_by_step)
@@ -309,9 +322,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); (M,) each ([1] eq. 7).
 
-    Where A > 0 the gradient is 0 once ρ > 1 + ε, where A < 0 once ρ < 1 − ε: nothing is gained by
-    going further. Where ρ went the wrong way, min takes the term that leads back: with ε = 0.2,
-    ρ = 0.5 and A = 1 it is min(0.5, 0.8) = 0.5, which has a gradient.
+    If A > 0, the gradient is 0 once ρ > 1 + ε; if A < 0, once ρ < 1 − ε: nothing is gained by going
+    further. If ρ went the wrong way, min takes the term that leads back: with ε = 0.2, ρ = 0.5 and
+    A = 1 it takes 0.5, which has a gradient, and not the clipped 0.8, which has none.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -323,7 +336,11 @@ def value_loss(values, targets):
 
 
 def approximate_kl(log_ratio):
-    """KL(π_old ‖ π) ≈ mean(ρ − 1 − log ρ): never negative, and little noise ([4]); (M,) -> ()."""
+    """KL(π_old ‖ π) = E_old[−log ρ] ≈ mean(ρ − 1 − log ρ); (M,) -> ().
+
+    E_old[ρ − 1] = ∫π − ∫π_old = 0, so it changes nothing on average. But now no term is negative,
+    and there is much less noise ([4]).
+    """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) = exp(x) − 1, exact near 0
 
 
@@ -333,29 +350,27 @@ def approximate_kl(log_ratio):
 def optimise(agent, optimizer, batch, args):
     """Steps 3 to 6. Returns the diagnostics: means over the minibatches that were looked at."""
     obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
-    with torch.no_grad():
+    with torch.no_grad():  # no step yet: π is still π_old
         old_log_probs = gaussian_log_prob(samples, *agent.policy(obs))
     logs = []
     for epoch in range(args.epochs):
         with torch.no_grad():  # advantages and targets are data: no gradient goes through them
-            values = agent.value(torch.cat((batch["obs"], batch["next_obs"][-1:])))
-            values, next_values = values[:-1], values[1:].clone()  # s_{t+1} is the next row's s_t,
-            ended = batch["done"]  # except where an episode ended
-            next_values[ended] = agent.value(batch["next_obs"][ended])
+            values = agent.value(batch["obs"])
+            next_values = agent.value(batch["next_obs"])
             advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
-                                     ended, args.gamma, args.gae_lambda)
+                                     batch["done"], args.gamma, args.gae_lambda)
             targets = (advantages + values).flatten()
             advantages = advantages.flatten()
-        if epoch == 0:
+        if epoch == 0:  # A = R − V is what V did not predict
             explained_variance = 1 - advantages.var() / targets.var()
         order = torch.randperm(len(obs))
         for rows in order.tensor_split(max(1, len(order) // args.minibatch_size)):
             mean, log_std = agent.policy(obs[rows])
             log_ratio = gaussian_log_prob(samples[rows], mean, log_std) - old_log_probs[rows]
-            ratio = log_ratio.exp()  # ρ, which is 1 until the first step
+            ratio = log_ratio.exp()  # ρ
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # standardised
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = value_loss(agent.value(obs[rows]), targets[rows])
             entropy = gaussian_entropy(log_std)
@@ -388,14 +403,15 @@ def train(args, seed, folder, position=0):
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    # eps: smaller gradients than 1e-5 move nothing, which is calmer than Adam's usual 1e-8
+    # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
+    # gradients move a weight as far as large ones do; 1e-5 keeps them small.
     groups = [{"params": agent.parameters(), "lr": args.learning_rate}]
     optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
     rates = [group["lr"] for group in optimizer.param_groups]
     log = Log(args, seed, folder, agent, optimizer, position)
     if args.resume:
         resume(log)
-    log.save()
+    log.save()  # evaluates, too
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
     past_return = 0.0
     batch_size = args.num_envs * args.rollout_steps
@@ -407,7 +423,7 @@ def train(args, seed, folder, position=0):
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
         diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 6
-        # Only now: while ρ is computed, π and π_old must see the same inputs.
+        # Only now: until here π has to see s as π_old did, with the old mean and std.
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 7
         log.update(batch_size, episodes, diagnostics)
     envs.close()
@@ -688,6 +704,8 @@ def report(folder, args):
 
 def main():
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
+    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+        sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
         return watch(args)

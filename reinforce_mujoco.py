@@ -18,38 +18,42 @@ It learns to balance a pole on a cart: 1000 of 1000 points after 190,000 steps, 
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
 
-In a state s the policy π(u|s), a probability density, draws an action u. The environment answers
-with a reward r and the next state, and so on until the episode ends at step T.
-  1. Play a few episodes with π:  u_t ~ N(μ(s_t), σ(s_t)²).
-  2. G_t = r_t + γ·G_{t+1},  G_T = 0   the reward-to-go: the discounted rewards that u_t can affect
-  3. A_t = G_t − b_t   how much better than the baseline b, which --baseline chooses:
+In a state s (`obs` in the code) the policy π(u|s), a probability density, draws u. The environment
+clips u to the range that its actions have, answers with a reward r and the next state, and so on
+until the episode ends after T steps.
+  1. Play a few episodes with π, the batch:  u_t ~ N(μ(s_t), σ(s_t)²).
+  2. G_t = r_t + γ·G_{t+1}   the reward-to-go: the discounted rewards that u_t can affect.
+     G_T = 0 if the task ended there (the pole fell). If only time ran out, rewards could have
+     followed: then G_T = V(s_T) with --baseline value, and 0 without it ([3]).
+  3. A_t = G_t − b_t   the advantage over a baseline b, which --baseline chooses:
        none   b_t = 0
-       mean   b_t = the mean of G over all steps of 1; A is also divided by their standard deviation
+       mean   b_t = the mean of G over the batch; A is also divided by the batch's std of G
        value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
-  4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over all steps of 1.
-     (Without a critic, the second part is a constant.)
-  5. Lower the learning rate. Throw the episodes away: the new π would play others. Go to 1.
+  4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over the batch.
+     (Without a critic V = 0, and the second part is a constant.)
+  5. Lower the learning rate. Throw the batch away, for the new π would play others. Go to 1.
 
-Why it works. The aim is a large expected return E[G] = ∫π·G, with G the sum of rewards to come. Its
-gradient is ∫∇π·G = ∫π·(∇π/π)·G = E[G·∇log π] ([1]; [2] section 13.3), which the steps of 1 can
-estimate: push up the probability of each action by how much followed it. If no G is negative, as
-here, every action that was tried is pushed up, and only the differences between large numbers
-teach anything. A baseline takes away what they have in common, and with it most of the noise. On
-average it changes nothing, for E[b·∇log π] = b·∫∇π = b·∇1 = 0 if b does not depend on u.
-`tests/benchmark.py baselines` measures what it is worth.
-(Small biases remain: G_t is a part of its own baseline in `mean`; the number of steps that the
-means divide by depends on the actions; later steps should count less by γ^t, which nobody does.)
+Why it works. The aim is a large expected reward-to-go E[G]. Let ∇ be its gradient in the weights of
+π, and look at one action u in one state, after which G(u) is to be expected. Then
+    ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
+(G(u) depends on π as well, through later actions. Each of those gets such a term of its own; the
+sum over all steps is the whole gradient: [1]; [2] section 13.3.) The mean over the batch estimates
+it: push up the probability of each action by how much reward followed it.
+If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
+others, and the estimate varies a lot from batch to batch. A baseline takes away what all G have in
+common, and with it most of this noise. On average it changes nothing: if b does not depend on u,
+E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
+Small biases remain: with `mean`, G_t is a part of its own baseline; the number of steps in a batch,
+by which the means divide, depends on the actions; and step t should weigh γ^t, which is usually
+left out, as here.
 
-A time limit looks like an end after which no reward comes, so the last 1/(1−γ) steps or so before
-it (50 by default) look worse than they are. With --baseline value, G_T = V(s_T) mends that ([3]).
+Left out: V(s) in place of later rewards other than at a time limit, so that no episode has to be
+played to its end, and several environments at a time (a2c_vector.py adds both); several gradient
+steps on the same batch (ppo_continuous.py adds them).
 
-Left out: a critic that stands for rewards still to come, so that no episode has to be played to its
-end, and several environments at a time (a2c_vector.py adds both); several gradient steps on the
-same data (ppo_continuous.py adds them).
-
-Symbols: γ discount of later rewards; μ, σ mean and standard deviation of the actions.
-Shapes: T steps of an episode; B steps of all episodes of 1; D numbers in a state; K in an action.
-Units: returns in tables and figures are sums of raw rewards; environment steps; seconds.
+Symbols: γ discount of later rewards; μ, σ mean and standard deviation of u.
+Shapes: T steps of an episode; B steps of a batch; D numbers in a state; K in an action.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
     Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
     [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
@@ -88,21 +92,21 @@ def parse_args(argv=None):
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several run side by side")
-    add("--total-steps", type=number(int, 1), default=190_000, help="length of the training")
-    add("--device", choices=devices, default="cpu", help="where the networks are computed")
-    add("--out-dir", default="runs", help="folder in which the folder of this run is made")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
+    add("--total-steps", type=number(int, 1), default=190_000, help="environment steps, at least")
+    add("--device", choices=devices, default="cpu", help="what computes the networks")
+    add("--out-dir", default="runs", help="where the folder of this run is made")
     add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
     add = parser.add_argument_group("environment").add_argument
     add("--env-id", default="InvertedPendulum-v5",
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes of an update")
-    add("--baseline", choices=("none", "mean", "value"), default="value", help="0, mean or V(s), b")
-    add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam at first; falls to 0")
+    add("--baseline", choices=("none", "mean", "value"), default="value", help="b of step 3")
+    add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one before it")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -120,7 +124,7 @@ class Agent(nn.Module):
         self.mean = nn.Linear(32, outputs)
         self.raw_std = nn.Linear(32, outputs)
         for head in (self.mean, self.raw_std):
-            nn.init.normal_(head.weight, std=0.01)  # at first, much the same in every state
+            nn.init.normal_(head.weight, std=0.01)  # so μ and σ start nearly alike in all states
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
         self.critic = None
@@ -131,17 +135,23 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps single updates small: ∇log π grows like 1/σ.
+        # The floor under σ keeps updates small: ∇_μ log π = (u − μ)/σ², which is about 1/σ.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)
 
     def value(self, obs):
-        """Observations (…, D) -> V(s) (…,), which is 0 if there is no critic."""
-        return self.critic(obs).squeeze(-1) if self.critic else torch.zeros_like(obs[..., 0])
+        """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
+        if self.critic is None:
+            return torch.zeros_like(obs[..., 0])
+        return self.critic(obs).squeeze(-1)
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a (N, K)."""
+        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions (N, K).
+
+        The environment gets actions, u within their range. Learning sees only u, of which π is the
+        density; for it, the clipping is a part of the environment.
+        """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         mean, std = policy.mean, policy.stddev
         samples = mean if deterministic else mean + std * torch.randn_like(mean)
@@ -155,7 +165,7 @@ def rollout(env, agent, num_episodes, gamma, env_step):
     """Steps 1 and 2: whole episodes of π, one after the other.
 
     Returns tensors of all their steps, obs (B, D), samples (B, K), returns G (B,), and a row for
-    each episode. `env_step`: the environment steps before.
+    each episode. `env_step`: the environment steps that were taken before this call.
     """
     batch = {"obs": [], "samples": [], "returns": []}
     episodes = []
@@ -167,7 +177,7 @@ def rollout(env, agent, num_episodes, gamma, env_step):
             samples, actions = agent.act(obs[None])
             batch["obs"].append(obs)
             batch["samples"].append(samples[0])
-            obs, reward, terminated, truncated, info = env.step(actions[0])
+            obs, reward, terminated, truncated, _ = env.step(actions[0])
             env_step += 1
             check_finite(env_step, np.array([reward]), obs[None])
             rewards.append(float(reward))
@@ -175,8 +185,7 @@ def rollout(env, agent, num_episodes, gamma, env_step):
         last_obs = torch.as_tensor(obs, dtype=torch.float32, device=agent.low.device)
         last_return = 0.0 if terminated else agent.value(last_obs).item()
         batch["returns"].extend(discounted_returns(rewards, last_return, gamma))
-        episodes.append({"env_step": env_step, "return": float(info["episode"]["r"]),
-                         "length": info["episode"]["l"]})
+        episodes.append({"env_step": env_step, "return": sum(rewards), "length": len(rewards)})
     for name, rows in batch.items():
         batch[name] = torch.as_tensor(np.array(rows), dtype=torch.float32, device=agent.low.device)
     return batch, episodes
@@ -186,7 +195,7 @@ def rollout(env, agent, num_episodes, gamma, env_step):
 
 
 def discounted_returns(rewards, last_return, gamma):
-    """Step 2: G_t = r_t + γ·G_{t+1} with G_T = `last_return`; (T,) each."""
+    """Step 2: G_t = r_t + γ·G_{t+1} with G_T = `last_return`; rewards (T,) -> returns (T,)."""
     returns = np.empty(len(rewards))
     G = last_return
     for t in reversed(range(len(rewards))):
@@ -196,10 +205,10 @@ def discounted_returns(rewards, last_return, gamma):
 
 
 def compute_advantages(returns, values, baseline):
-    """Step 3: A = G − b, a constant for the gradient; (B,) each."""
+    """Step 3: A = G − b, (B,) each. No gradient goes through A."""
     if baseline == "mean":
         return (returns - returns.mean()) / (returns.std(correction=0) + 1e-8)
-    return returns - values.detach()  # with --baseline none, V is 0
+    return returns - values.detach()  # b = V(s); with --baseline none there is no critic: V = 0
 
 
 # --- Losses ---------------------------------------------------------------------------------------
@@ -225,12 +234,11 @@ def optimise(agent, optimizer, batch, baseline):
     policy = agent.policy(batch["obs"])
     loss_pi = policy_loss(policy.log_prob(batch["samples"]).sum(-1), advantages)
     loss_v = value_loss(values, batch["returns"])
-    optimizer.zero_grad()
-    (loss_pi + loss_v).backward()  # they share no parameters
-    networks = nn.ModuleList((agent.trunk, agent.mean, agent.raw_std))
-    grad_norm = nn.utils.get_total_norm(
-        [p.grad for p in networks.parameters()], error_if_nonfinite=True)
-    optimizer.step()  # step 4
+    optimizer.zero_grad()  # step 4
+    (loss_pi + loss_v).backward()  # one for π, one for V: they share no weights
+    weights = nn.ModuleList((agent.trunk, agent.mean, agent.raw_std)).parameters()  # those of π
+    grad_norm = nn.utils.get_total_norm([p.grad for p in weights], error_if_nonfinite=True)
+    optimizer.step()
     diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "grad_norm": grad_norm,
                    "entropy": policy.entropy().sum(-1).mean(), "policy_std": policy.stddev.mean()}
     return {name: x.item() for name, x in diagnostics.items()}
@@ -248,10 +256,10 @@ def train(args, seed, folder, position=0):
     optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)
     log = Log(args, seed, folder, agent, optimizer, position)
     log.save()
-    env.reset(seed=make_seeds(seed, 2 + log.env_step, count=1)[0])  # once: each episode differs
+    env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
     while log.env_step < args.total_steps:
         share = 1 - log.env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the update before
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5: falls to 0
         batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, log.env_step)  # 1, 2
         diagnostics = optimise(agent, optimizer, batch, args.baseline)  # steps 3 and 4
         log.update(len(batch["obs"]), episodes, diagnostics)
@@ -510,6 +518,8 @@ def report(folder, args):
 
 def main():
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
+    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+        sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
         return watch(args)

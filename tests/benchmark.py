@@ -13,7 +13,7 @@ import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
+from unittest import mock
 
 import gymnasium as gym
 import numpy as np
@@ -27,19 +27,21 @@ import a2c_vector as a2c
 import ppo_continuous as ppo
 import reinforce_mujoco as reinforce
 
-SCRIPTS = {script.SCRIPT: script for script in (ppo, a2c, reinforce)}
+PPO, A2C, REINFORCE = ppo.__name__, a2c.__name__, reinforce.__name__
+SCRIPTS = {PPO: ppo, A2C: a2c, REINFORCE: reinforce}
 DEFAULTS = {name: vars(script.parse_args([])) for name, script in SCRIPTS.items()}
 STEPS = {name: {x["env_id"]: x["total_steps"]} for name, x in DEFAULTS.items()}
-STEPS[ppo.SCRIPT] |= {f"{name}-v5": 1_000_000 for name in (  # the table of environments
+STEPS[PPO] |= {f"{name}-v5": 1_000_000 for name in (  # the table of environments
     "HalfCheetah", "Hopper", "Walker2d", "Ant", "Swimmer", "Reacher", "InvertedPendulum")}
-SEEDS = {name: [1, 2, 3, 5, 8] if name == reinforce.SCRIPT else [1, 2, 3, 4, 5] for name in SCRIPTS}
+SEEDS = {name: [1, 2, 3, 5, 8] if name == REINFORCE else [1, 2, 3, 4, 5] for name in SCRIPTS}
 
 
 def run_script(script, *arguments):
     """Run a script as a user would; returns its run folder. Its bars go to stderr."""
     command = [sys.executable, SCRIPTS[script].__file__, *map(str, arguments)]
     output = subprocess.check_output(command, text=True)
-    return Path(output.splitlines()[-1]).parent  # it ends with the path of its learning curve
+    checkpoint = output.splitlines()[-1].rsplit(": ", 1)[-1]  # the last line names one
+    return Path(checkpoint).parent.parent
 
 
 def fresh(*task):
@@ -54,6 +56,11 @@ def print_table(header, rows):
         print("|", " | ".join(map(str, row)), "|")
 
 
+def installed():
+    packages = "torch", "gymnasium", "mujoco", "box2d", "numpy"
+    return {name: importlib.metadata.version(name) for name in packages}
+
+
 def print_machine(versions):
     cpuinfo, model = Path("/proc/cpuinfo"), platform.processor() or platform.machine()
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []  # Linux says it there
@@ -66,24 +73,23 @@ def print_machine(versions):
 
 def make_envs(script, args):
     """The environments of a training; for REINFORCE a single one, not in a vector."""
-    if script == reinforce.SCRIPT:
-        return reinforce.CheckedEnv(gym.make(args.env_id), 0)
-    if script == a2c.SCRIPT:
-        return a2c.make_envs(args)
-    return ppo.make_envs(args.env_id, args.num_envs)
+    if script == REINFORCE:
+        return reinforce.record_episodes(gym.make(args.env_id))
+    return SCRIPTS[script].make_envs(args)
 
 
 def train(script, flags, seed):
-    """Train without evaluations, in this process; returns the summary."""
-    SCRIPTS[script].evaluate = lambda *_: {}
+    """Train without evaluations, in this process; returns the seconds and the steps it took."""
+    SCRIPTS[script].evaluate = lambda *_: {"return_mean": 0.0}
     with tempfile.TemporaryDirectory() as folder:
-        args = SCRIPTS[script].parse_args(flags)
-        SCRIPTS[script].train(args, seed, Path(folder), Path(folder, "stop"))
-        return json.loads(Path(folder, "summary.json").read_text())
+        SCRIPTS[script].train(SCRIPTS[script].parse_args(flags), seed, Path(folder))
+        last = pd.read_csv(Path(folder, "evals.csv")).iloc[-1]
+    return last["seconds"], last["env_step"]
 
 
 def our_speed(script, flags, seed):
-    return train(script, flags, seed)["steps_per_second"]
+    seconds, steps = train(script, flags, seed)
+    return steps / seconds
 
 
 def sb3_speed(script, flags, seed):
@@ -92,7 +98,7 @@ def sb3_speed(script, flags, seed):
     from stable_baselines3.common import env_util, vec_env
 
     torch.set_num_threads(1)  # as ours
-    args, is_ppo = SCRIPTS[script].parse_args(flags), script == ppo.SCRIPT
+    args, is_ppo = SCRIPTS[script].parse_args(flags), script == PPO
     envs = env_util.make_vec_env(args.env_id, 8 if is_ppo else 16, seed)  # steps them in turn
     envs = vec_env.VecNormalize(envs) if is_ppo else envs
     model = (sb3.PPO if is_ppo else sb3.A2C)("MlpPolicy", envs, seed=seed, device="cpu")
@@ -112,7 +118,7 @@ def random_speed(script, flags, seed):
     start = time.perf_counter()
     for action in actions:
         _, _, terminated, truncated, _ = envs.step(action)
-        if script == reinforce.SCRIPT and (terminated or truncated):  # a vector does it by itself
+        if script == REINFORCE and (terminated or truncated):  # a vector does it by itself
             envs.reset()
     duration = time.perf_counter() - start
     envs.close()
@@ -136,28 +142,28 @@ def our_shares(script, flags):
 
     kind, rest = type(make_envs(script, module.parse_args(flags))), "rest"
     add_timer(kind, "step", "environment")
-    add_timer(module.Policy, "act", "policy")
-    if script == reinforce.SCRIPT:
+    add_timer(module.Agent, "act", "policy")
+    if script == REINFORCE:
         add_timer(kind, "reset", "environment")
         rest = "update and rest"
     else:
         add_timer(module, "optimise", "update")
-    total = train(script, flags, 1)["train_seconds"]
+    total, _ = train(script, flags, 1)
     seconds[rest] = total - sum(seconds.values())
     return {part: x / total for part, x in seconds.items()}
 
 
 def speed(args):
-    versions = SCRIPTS[args.script].versions()
+    versions = installed()
     measures = {"ours": our_speed, "stable-baselines3": sb3_speed, "random actions": random_speed}
     try:
         versions["stable-baselines3"] = importlib.metadata.version("stable-baselines3")
     except importlib.metadata.PackageNotFoundError:
         print("stable-baselines3 goes unmeasured: pip install stable-baselines3")
         del measures["stable-baselines3"]
-    if args.script == reinforce.SCRIPT:
+    if args.script == REINFORCE:
         measures.pop("stable-baselines3", None)  # it has no REINFORCE
-    usual = "HalfCheetah-v5" if args.script == ppo.SCRIPT else DEFAULTS[args.script]["env_id"]
+    usual = "HalfCheetah-v5" if args.script == PPO else DEFAULTS[args.script]["env_id"]
     flags = ["--env-id", args.env_id or usual, "--total-steps", str(args.steps)]
     rows = [[fresh(measure, args.script, flags, seed) for measure in measures.values()]
             for seed in range(1, args.pairs + 1)]  # in turns: a busy machine slows all alike
@@ -188,7 +194,7 @@ def scaling(args):
             for kind in ("sync", "async"):
                 flags = ["--num-envs", str(count), "--vectorization", kind, "--rollout-steps",
                          str(max(1, 512 // count)), "--total-steps", str(args.steps)]
-                speeds = fresh(both_speeds, a2c.SCRIPT, flags, seed)
+                speeds = fresh(both_speeds, A2C, flags, seed)
                 rows += [{"measure": name, "vectorization": kind, "environments": count, "speed": x}
                          for name, x in zip(("stepping", "training"), speeds)]
     keys = ["measure", "vectorization", "environments"]
@@ -212,7 +218,7 @@ processors. Async shares them, too; where that makes ψ larger than p, e < 0 and
 """)
     print(conclude(data))
     draw_scaling(data, args.out_dir / "scaling.png")
-    print_machine(json.dumps(a2c.versions()))
+    print_machine(json.dumps(installed()))
 
 
 def conclude(data):
@@ -270,24 +276,23 @@ def collect(script, folders):
     rows, curves = [], {"evals": [], "episodes": []}
     for folder, config in zip(folders, configs):
         flags = " ".join(f"--{name.replace('_', '-')} {config[name]}" for name in names)
+        if Path(config["command"][0]).stem != script:
+            sys.exit(f"error: {folder} is of {config['command'][0]}, not of {script}.py")
         for seed in config["seed"]:  # one without a result is an error, not left out
-            result = json.loads((folder / f"seed-{seed}/summary.json").read_text())
-            if result["script"] != script:
-                sys.exit(f"error: {folder} is of {result['script']}.py, not of {script}.py")
-            if result["env_steps"] < config["total_steps"]:
+            keys = {"env_id": config["env_id"], "flags": flags, "seed": seed}
+            tables = {name: pd.read_csv(folder / f"seed-{seed}/{name}.csv") for name in curves}
+            for name, table in tables.items():
+                curves[name].append(table.assign(**keys))
+            last = tables["evals"].iloc[-1]
+            if last["env_step"] < config["total_steps"]:
                 sys.exit(f"error: {folder}: seed {seed} was stopped before its end")
-            keys = {"env_id": result["env_id"], "flags": flags, "seed": seed}
-            for name, tables in curves.items():
-                table = pd.read_csv(folder / f"seed-{seed}/{name}.csv")
-                tables.append(table[table.columns.difference(keys)].assign(**keys))
-            result |= {"minutes": result["train_seconds"] / 60, "flags": flags,
-                       "total_steps": config["total_steps"],
-                       "last_100_returns": table["return"].tail(100).mean(),  # of the episodes
-                       "versions": json.dumps(result["versions"])}
-            rows.append({x: result[x] for x in (
-                "script", "env_id", "flags", "seed", "total_steps", "env_steps", "eval_return_mean",
-                "eval_return_std", "eval_episodes", "last_100_returns", "minutes",
-                "steps_per_second", "versions")})
+            rows.append({
+                "script": script, **keys, "total_steps": config["total_steps"],
+                "env_steps": last["env_step"], "eval_return_mean": last["return_mean"],
+                "eval_return_std": last["return_std"], "eval_episodes": last["episodes"],
+                "last_100_returns": tables["episodes"]["return"].tail(100).mean(),
+                "minutes": last["seconds"] / 60, "versions": json.dumps(config["versions"]),
+                "steps_per_second": last["env_step"] / last["seconds"]})
     return pd.DataFrame(rows), *(pd.concat(x, ignore_index=True) for x in curves.values())
 
 
@@ -356,68 +361,79 @@ def returns(args):
 BASELINES = "none", "mean", "value"
 
 
+class Halfway(Exception):
+    """Ends a training; carries its agent."""
+
+
 def halfway_agent(threshold):
-    """REINFORCE, stopped when its last 20 training returns average `threshold`; V is untrained."""
-    args = reinforce.parse_args(["--baseline", "mean", "--eval-every", "0"])
-    with tempfile.TemporaryDirectory() as name:
-        file = Path(name, "episodes.csv")
+    """REINFORCE's agent when its last 20 training returns average `threshold`; it has no V."""
 
-        def exists():
-            return file.exists() and pd.read_csv(file)["return"].tail(20).mean() >= threshold
+    class Log(reinforce.Log):
+        def update(self, steps, episodes, diagnostics):
+            super().update(steps, episodes, diagnostics)
+            if np.mean([row["return"] for row in self.tables["episodes"][-20:]]) >= threshold:
+                raise Halfway(self.agent)
 
-        reinforce.train(args, 1, Path(name), SimpleNamespace(exists=exists))
-        state = torch.load(Path(name, "checkpoint.pt"), weights_only=True)["agent"]
-    args.baseline = "value"
-    env = reinforce.CheckedEnv(gym.make(args.env_id), 0)
-    env.reset(seed=reinforce.make_seeds(1, stream=1000, count=1)[0])  # not an episode of training
-    agent = reinforce.make_agent(args, env)
-    agent.load_state_dict(state, strict=False)  # it has no V
-    return args, env, agent
-
-
-def sample_batch(args, env, policy):
-    """E episodes: states (B, D), samples (B, K), returns (B,), which end at time limits for all."""
-    episodes = [reinforce.sample_episode(env, policy)[:3] for _ in range(args.batch_episodes)]
-    batch = [(states, samples, reinforce.discounted_returns(rewards, 0.0, args.gamma))
-             for states, samples, rewards in episodes]
-    return [torch.cat(x) for x in zip(*batch)]
+    args = reinforce.parse_args(["--baseline", "mean", "--num-evals", "1"])
+    with tempfile.TemporaryDirectory() as folder, mock.patch.object(reinforce, "Log", Log):
+        try:
+            reinforce.train(args, 1, Path(folder))
+        except Halfway as halfway:
+            return args, halfway.args[0]
+    sys.exit(f"error: argument --halfway: no 20 episodes average {threshold:g}")
 
 
-def fit_value(value, states, returns, steps=300):
-    optimizer = torch.optim.Adam(value.parameters(), 1e-2)
+def sample_batch(args, env, agent):
+    """The batch of an update. Returns end at time limits for all baselines: `agent` has no V."""
+    return reinforce.rollout(env, agent, args.batch_episodes, args.gamma, 0)[0]
+
+
+def fit_critic(agent, batches, steps=300):
+    """The same agent with a V that is fitted to `batches`."""
+    args = reinforce.parse_args(["--baseline", "value"])
+    env = gym.make(args.env_id)
+    fitted = reinforce.Agent(env.observation_space, env.action_space, args)
+    fitted.load_state_dict(agent.state_dict(), strict=False)
+    obs, returns = (torch.cat([batch[name] for batch in batches]) for name in ("obs", "returns"))
+    optimizer = torch.optim.Adam(fitted.critic.parameters(), 1e-2)
     for _ in range(steps):
         optimizer.zero_grad()
-        reinforce.value_loss(value(states).squeeze(-1), returns).backward()
+        reinforce.value_loss(fitted.value(obs), returns).backward()
         optimizer.step()
+    return fitted
 
 
-def policy_gradients(agent, states, samples, returns):
+def policy_gradients(agent, batch):
     """The estimates of one batch, (3, number of parameters); all three in units of a return."""
-    values, parameters = agent["value"](states).squeeze(-1), list(agent["policy"].parameters())
-    log_probs, rows = agent["policy"](states).log_prob(samples).sum(-1), []
+    values, returns = agent.value(batch["obs"]), batch["returns"]
+    log_probs = agent.policy(batch["obs"]).log_prob(batch["samples"]).sum(-1)
+    networks = torch.nn.ModuleList((agent.trunk, agent.mean, agent.raw_std))
+    rows = []
     for baseline in BASELINES:
-        advantages = reinforce.compute_advantages(returns, values, baseline)
+        b = values if baseline == "value" else torch.zeros_like(returns)
+        advantages = reinforce.compute_advantages(returns, b, baseline)
         loss = reinforce.policy_loss(log_probs, advantages)
         if baseline == "mean":
             loss = loss * returns.std(correction=0)  # its A was divided by that
-        gradient = torch.autograd.grad(loss, parameters, retain_graph=True)
+        gradient = torch.autograd.grad(loss, list(networks.parameters()), retain_graph=True)
         rows.append(torch.nn.utils.parameters_to_vector(gradient))
     return torch.stack(rows)
 
 
 def measure_variance(num_batches, threshold):
     """The gradient estimates of one policy, from many batches: a row for each baseline."""
-    args, env, agent = halfway_agent(threshold)
+    args, agent = halfway_agent(threshold)
+    env = reinforce.record_episodes(gym.make(args.env_id))
+    env.reset(seed=reinforce.make_seeds(1, stream=1000, count=1)[0])  # not an episode of training
     torch.manual_seed(1)
-    batches = [sample_batch(args, env, agent["policy"]) for _ in range(num_batches + 50)]
-    states, _, returns = (torch.cat(x) for x in zip(*batches[num_batches:]))  # V's own episodes
-    fit_value(agent["value"], states, returns)
+    batches = [sample_batch(args, env, agent) for _ in range(num_batches + 50)]
+    agent = fit_critic(agent, batches[num_batches:])  # V gets episodes of its own
     batches = batches[:num_batches]
-    length = sum(len(x[0]) for x in batches) / num_batches / args.batch_episodes
+    length = sum(len(batch["obs"]) for batch in batches) / num_batches / args.batch_episodes
     print(f"\nOne policy, --baseline mean, seed 1, stopped when 20 training returns averaged "
           f"{threshold:g}; its episodes have\n{length:.0f} steps. {num_batches} batches of "
           f"{args.batch_episodes}; V was fitted to 50 others of the same policy.")
-    gradients = torch.stack([policy_gradients(agent, *batch) for batch in batches], 1).double()
+    gradients = torch.stack([policy_gradients(agent, batch) for batch in batches], 1).double()
     means, variance = gradients.mean(1), gradients.var(1).sum(-1)  # the trace of the covariance
     paired = gradients - gradients[0]
     noise = (paired.var(1).sum(-1) / num_batches).sqrt()  # to expect of paired.mean(1) if E = 0
@@ -461,34 +477,22 @@ def baselines(args):
 GRID = pd.MultiIndex.from_product(
     [(-2.0, -4.0, -6.0, -8.0, -10.0, -11.9), (0.0, 5.0, 10.0, 15.0, 20.0)],
     names=["gravity", "wind_power"])
+GRID_SEED = 10**9  # the same episodes for all agents; none was trained with it
 
 
 def play_grid(checkpoint, num_episodes):
-    """`num_episodes` deterministic episodes in each world of the grid: a row for each world.
-
-    All of them side by side, so that the network is called once for all that have not ended yet.
-    """
+    """`num_episodes` deterministic episodes in each world of the grid: a row for each world."""
     torch.set_num_threads(1)
     saved = torch.load(checkpoint, weights_only=True)
-    args = argparse.Namespace(**saved["args"], device="cpu")
-    envs, obs, results = [], [], {}
-    for cell, (gravity, wind) in enumerate(GRID):
+    args = argparse.Namespace(**saved["args"])
+    envs = []
+    for gravity, wind in GRID:
         world = {"gravity": gravity, "enable_wind": wind > 0, "wind_power": wind}
-        for seed in a2c.make_seeds(0, 1000 + cell, num_episodes):  # the same for all agents
-            envs.append(a2c.CheckedEnv(gym.make(args.env_id, **world), cell))
-            obs.append(envs[-1].reset(seed=seed)[0])
-    agent = a2c.make_agent(args, envs[0])
+        envs += [a2c.record_episodes(gym.make(args.env_id, **world)) for _ in range(num_episodes)]
+    agent = a2c.Agent(envs[0].observation_space, envs[0].action_space, args)
     agent.load_state_dict(saved["agent"])
-    active = range(len(envs))
-    while active:
-        _, actions = agent["policy"].act(np.stack([obs[i] for i in active]), deterministic=True)
-        for i, action in zip(active, actions):
-            obs[i], _, _, _, info = envs[i].step(action)
-            if info:  # of the last step only
-                results[i], _ = info["episode"]
-        active = [i for i in active if i not in results]
-    values = [results[i] for i in range(len(envs))]
-    cells = np.reshape(values, (len(GRID), num_episodes))
+    a2c.evaluate(agent, envs, GRID_SEED)  # all side by side
+    cells = np.reshape([env.return_queue[-1] for env in envs], (len(GRID), num_episodes))
     return GRID.to_frame(index=False).assign(
         checkpoint=str(checkpoint), trained="--randomize" if args.randomize else "default",
         seed=args.seed[0], return_mean=cells.mean(1), return_std=cells.std(1))
@@ -497,8 +501,8 @@ def play_grid(checkpoint, num_episodes):
 def robustness(args):
     """Trained agents in worlds that differ from the one they were trained in."""
     for path in args.checkpoints:
-        if torch.load(path, weights_only=True)["script"] != a2c.SCRIPT:
-            sys.exit(f"error: {path} is not a checkpoint of {a2c.SCRIPT}.py")
+        if "randomize" not in torch.load(path, weights_only=True)["args"]:
+            sys.exit(f"error: {path} is not a checkpoint of {A2C}.py")
     with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
         counts = [args.episodes] * len(args.checkpoints)
         data = pd.concat(pool.map(play_grid, args.checkpoints, counts), ignore_index=True)
@@ -519,7 +523,7 @@ def robustness(args):
     print_table(["trained", "all cells, mean ± std over agents", "outer cells", "seeds",
                  "all cells, every agent", "outer cells, every agent"], rows)
     draw_maps(maps, args, data.groupby("trained")["checkpoint"].nunique())
-    print_machine(json.dumps(a2c.versions()))
+    print_machine(json.dumps(installed()))
 
 
 def draw_maps(maps, args, agents):
@@ -549,7 +553,7 @@ def main():
         add = study.add_argument
         add("--out-dir", type=Path, default="runs/benchmark", help="for tables, pictures and runs")
         if name in ("speed", "returns"):
-            add("--script", choices=SCRIPTS, default=ppo.SCRIPT)
+            add("--script", choices=SCRIPTS, default=PPO)
         study.set_defaults(function=function, **defaults)
         return add
 
@@ -558,7 +562,7 @@ def main():
     add("--steps", type=int, default=100_000, help="at least, in every measurement")
     add("--pairs", type=int, default=5, help="measurements of each, in turns")
 
-    tasks = {"script": ppo.SCRIPT, "env_id": ["HalfCheetah-v5", "Hopper-v5"]}
+    tasks = {"script": PPO, "env_id": ["HalfCheetah-v5", "Hopper-v5"]}
     squash = [["--squash", x] for x in ("tanh", "clip")]
     baseline = [["--baseline", x] for x in BASELINES]
     for add in (
@@ -567,7 +571,7 @@ def main():
         add_study("squash", returns, "PPO: returns of --squash tanh against clip", plot=True,
                   compare=squash, **tasks),
         add_study("baselines", baselines, "REINFORCE: returns and noise of each --baseline",
-                  script=reinforce.SCRIPT, compare=baseline),
+                  script=REINFORCE, compare=baseline),
     ):
         add("--env-id", nargs="+")
         add("--seed", type=int, nargs="+", help="default: 1 2 3 4 5, for REINFORCE 1 2 3 5 8")

@@ -4,12 +4,13 @@ import json
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-from gymnasium.spaces import Box, Dict, Discrete
+from gymnasium.spaces import Box, Dict, Discrete, MultiDiscrete
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = Path(__file__).resolve().parent
@@ -17,14 +18,23 @@ TESTS = Path(__file__).resolve().parent
 # --- Running a script -----------------------------------------------------------------------------
 
 
-def start(script, *arguments, cwd, python=(), **environment):
-    """Start `python script.py arguments` in `cwd`, on a machine without a display."""
+# Every warning ends a run, but for deprecations: next year's packages may announce some.
+LATER = "DeprecationWarning", "PendingDeprecationWarning", "FutureWarning"
+STRICT = ["-W", "error", *(x for name in LATER for x in ("-W", f"ignore::{name}"))]
+
+
+def start(script, *arguments, cwd, python=(), own_group=False, **environment):
+    """Start `python script.py arguments` in `cwd`, on a machine without a display.
+
+    `own_group`: it and its processes form a process group, as a shell gives them one.
+    """
     hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env |= {"PYTHONPATH": str(TESTS), "OMP_NUM_THREADS": "1", **environment}
     command = [sys.executable, *python, str(ROOT / script), *map(str, arguments)]
     return subprocess.Popen(
-        command, cwd=cwd, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        command, cwd=cwd, env=env, text=True, encoding="utf-8", start_new_session=own_group,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )
 
 
@@ -42,8 +52,8 @@ def run_folder(cwd):
 
 
 def table(path):
-    """A CSV file without its only column that no seed determines."""
-    return pd.read_csv(path).drop(columns="steps_per_second", errors="ignore")
+    """A CSV file without the columns that no seed determines."""
+    return pd.read_csv(path).drop(columns=["seconds", "steps_per_second"], errors="ignore")
 
 
 def read_json(path):
@@ -60,7 +70,8 @@ class World(gym.Env):
     """Reward 1 a step, episodes of `length` steps; refuses actions out of bounds.
 
     It shows (a number drawn for the episode, steps since its start), so that no two look alike.
-    From its step `fault_at` on it fails: with a NaN for a reward or with an exception.
+    From its step `fault_at` on it fails: with an exception ("raise"), by showing a NaN ("blind"),
+    or with "nan" or "inf" for a reward.
     """
 
     def __init__(self, length=3, fault=None, fault_at=0, observations=None, actions=ACTIONS):
@@ -80,11 +91,12 @@ class World(gym.Env):
         assert self.action_space.contains(action), f"{action} is out of bounds"
         self.steps += 1
         self.total += 1
-        faulty = self.fault and self.total >= self.fault_at
-        if faulty and self.fault == "raise":
+        fault = self.fault if self.total >= self.fault_at else None
+        if fault == "raise":
             raise RuntimeError("the pole broke")
-        reward = float("nan") if faulty else self.reward(action)
-        return self.observe(), reward, self.steps == self.length, False, {}
+        reward = float(fault) if fault in ("nan", "inf") else self.reward(action)
+        obs = self.observe() * np.float32("nan") if fault == "blind" else self.observe()
+        return obs, reward, self.steps == self.length, False, {}
 
     def reward(self, action):
         return 1.0
@@ -129,6 +141,21 @@ class Sign(World):
         return float(action == (1 if self.episode < 0 else 3))
 
 
+class Stuck(World):
+    """An episode that starts without a seed never ends; it takes its time and leaves a file."""
+
+    def reset(self, *, seed=None, options=None):
+        self.stuck = seed is None or not self.length
+        return super().reset(seed=seed)
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = super().step(action)
+        if self.stuck:
+            Path("playing").touch()
+            time.sleep(0.01)
+        return obs, reward, terminated and not self.stuck, truncated, info
+
+
 class Dies(World):
     """Takes its process along, sooner or later."""
 
@@ -152,6 +179,11 @@ if "ThreeSteps-v0" not in gym.registry:
         register(f"{prefix}FailsLate", fault="raise", fault_at=40, actions=actions)
         register(f"{prefix}FailsEarly", fault="raise", fault_at=2, actions=actions)
         register(f"{prefix}TurnsNaN", fault="nan", fault_at=40, actions=actions)
+        register(f"{prefix}TurnsInfinite", fault="inf", fault_at=40, actions=actions)
+        register(f"{prefix}TurnsBlind", fault="blind", fault_at=40, actions=actions)
+        register(f"{prefix}AlwaysNaN", fault="nan", actions=actions)
+        register(f"{prefix}Stuck", Stuck, length=None, actions=actions)
+        register(f"{prefix}StuckInTraining", Stuck, actions=actions)
         integers = Box(0, 9, (2,), np.array(0).dtype)
         register(f"{prefix}Counts", Counts, observations=integers, actions=actions)
     register("Target", Target, length=1)
@@ -159,6 +191,8 @@ if "ThreeSteps-v0" not in gym.registry:
     register("Image", observations=Box(0, 255, (8, 8, 3), np.uint8))
     register("Unbounded", actions=Box(-np.inf, np.inf, (2,)))
     register("ThreeActions", actions=Box(-1, 1, (3,)))
+    register("ManyActions", actions=MultiDiscrete([2, 3]))
+    register("SquareActions", actions=Box(-1, 1, (2, 2)))
     register("Echo", Echo, actions=Discrete(3, start=1))
     register("Sign", Sign, length=1, actions=Discrete(3, start=1))
     register("Dies", Dies, actions=Discrete(3, start=1))

@@ -1,10 +1,12 @@
 """The maths of ppo_continuous.py against definitions, hand numbers and torch.distributions."""
 
+import copy
 import math
 
 import gymnasium as gym
 import harness  # registers the worlds
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from torch.distributions import Normal, TransformedDistribution, kl_divergence
@@ -12,7 +14,25 @@ from torch.distributions.transforms import TanhTransform
 
 import ppo_continuous as ppo
 
-SIZES = "--num-envs 4 --rollout-steps 25 --minibatch-size 33 --total-steps 100 --target-kl 0"
+SIZES = "--num-envs 4 --rollout-steps 25 --minibatch-size 33 --total-steps 100 --max-kl 1e9"
+
+
+class Uneven(harness.World):
+    """Episodes of 3 steps, of 4 if its first number is positive; the action is the reward."""
+
+    def reset(self, *, seed=None, options=None):
+        shown = super().reset(seed=seed, options=options)
+        self.length = 4 if self.episode > 0 else 3
+        return shown
+
+    def reward(self, action):
+        return float(action.sum())
+
+
+if "PPOUneven-v0" not in gym.registry:
+    gym.register("PPOUneven-v0", Uneven)
+    # does not show when its time is up
+    gym.register("PPOTimeless-v0", harness.Timeless, max_episode_steps=8, kwargs={"length": None})
 
 
 @pytest.fixture(autouse=True)
@@ -20,33 +40,57 @@ def fixed_seed():
     torch.manual_seed(0)
 
 
+def parse(env="ThreeSteps", options=""):
+    return ppo.parse_args(f"--env-id harness:{env}-v0 {SIZES} {options}".split())
+
+
 def make(env="ThreeSteps", options=""):
     """Arguments, vector environment, its first observations, and an agent for it."""
-    args = ppo.parse_args(f"--env-id harness:{env}-v0 {SIZES} {options}".split())
-    envs = ppo.make_envs(args.env_id, args.num_envs)
+    args = parse(env, options)
+    envs = ppo.make_envs(args)
     obs, _ = envs.reset(seed=ppo.make_seeds(1, stream=2, count=args.num_envs))
-    return args, envs, obs, ppo.make_agent(args, gym.make(args.env_id))
+    agent = ppo.Agent(envs.single_observation_space, envs.single_action_space, args)
+    make_opinionated(agent)
+    return args, envs, obs, agent
+
+
+def make_opinionated(agent):
+    """A new policy acts alike in all states and does not normalise, which would hide mistakes."""
+    agent.actor[-1].weight.data *= 100
+    agent.norm.update(3 * torch.randn(50, 2) + 1)
 
 
 def play(env="ThreeSteps", options="", mean=None):
     """One rollout, of a policy with μ near `mean`: arguments, agent, transitions, episodes."""
     args, envs, obs, agent = make(env, options)
     if mean is not None:
-        agent["policy"].mean_net[-1].bias.data.fill_(mean)
-    transitions, _, episodes = ppo.rollout(envs, agent["policy"], obs, args.rollout_steps, 0)
-    return args, agent, transitions, episodes
+        agent.actor[-1].bias.data.fill_(mean)
+    batch, _, episodes = ppo.rollout(envs, agent, obs, args.rollout_steps, 0)
+    return args, agent, batch, episodes
 
 
-def make_policy(options=""):
-    return make(options=options)[-1]["policy"]
+def make_agent(options=""):
+    return make(options=options)[-1]
 
 
-def log_prob(agent, states, latents):
-    return ppo.gaussian_log_prob(latents, *agent["policy"](states))
+def log_prob(agent, obs, samples):
+    return ppo.gaussian_log_prob(samples, *agent.policy(obs))
 
 
 def adam(agent, lr):
     return torch.optim.Adam(agent.parameters(), lr=lr)
+
+
+def spy(monkeypatch, name, keep):
+    """A list of what keep(*arguments) returns whenever the function `name` of ppo is called."""
+    kept, function = [], getattr(ppo, name)
+
+    def spied(*arguments):
+        kept.append(keep(*arguments))
+        return function(*arguments)
+
+    monkeypatch.setattr(ppo, name, spied)
+    return kept
 
 
 def random_batch(T=7, N=3):
@@ -59,21 +103,27 @@ def random_batch(T=7, N=3):
 # --- Advantages -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gae_lambda", [0.0, 0.7, 1.0])
-@pytest.mark.parametrize("gamma", [0.9, 1.0])
-def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lambda):
-    rewards, values, next_values, terminated, done = batch = random_batch(T=40, N=5)
-    assert 0 < terminated.sum() < done.sum() < done.numel()
-    expected = torch.zeros_like(rewards)
-    for n in range(5):
-        for t in range(40):
-            for k in range(40 - t):
+def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
+    advantages = torch.zeros_like(rewards)
+    T, N = rewards.shape
+    for n in range(N):
+        for t in range(T):
+            for k in range(T - t):
                 i = t + k, n
                 bootstrap = 0 if terminated[i] else next_values[i]
                 delta = rewards[i] + gamma * bootstrap - values[i]
-                expected[t, n] += (gamma * gae_lambda) ** k * delta
+                advantages[t, n] += (gamma * gae_lambda) ** k * delta
                 if done[i]:
                     break
+    return advantages
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize("gamma", [0.9, 1.0])
+def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lambda):
+    _, _, _, terminated, done = batch = random_batch(T=40, N=5)
+    assert 0 < terminated.sum() < done.sum() < done.numel()
+    expected = gae_by_hand(*batch, gamma, gae_lambda)
     torch.testing.assert_close(ppo.compute_gae(*batch, gamma, gae_lambda), expected)
 
 
@@ -99,8 +149,8 @@ def test_a_time_limit_is_bootstrapped():
 
 
 def test_terminated_and_out_of_time_at_once_is_not_bootstrapped():
-    args, agent, transitions, _ = play("BothEnds")
-    _, _, rewards, _, terminated, done = transitions.values()
+    _, _, batch, _ = play("BothEnds")
+    rewards, terminated, done = batch["rewards"], batch["terminated"], batch["done"]
     assert torch.equal(terminated, done)
     values, next_values = torch.randn(2, *rewards.shape)
     advantages = ppo.compute_gae(rewards, values, next_values, terminated, done, 0.9, 0.95)
@@ -117,44 +167,37 @@ def test_the_last_row_of_a_rollout_and_a_rollout_of_one_step_learn():
     torch.testing.assert_close(ppo.compute_gae(*batch, 0.9, 0.95)[-1:], last)
 
 
-def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
-    options = "--gamma 0.9 --total-steps 6400 --rollout-steps 32 --eval-every 0"
-    args, _, _, agent = make("Forever", f"{options} --learning-rate 3e-3")
-    ppo.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
-    checkpoint = torch.load(tmp_path / "seed-1/checkpoint.pt", weights_only=True)
-    agent.load_state_dict(checkpoint["agent"])
-    obs = torch.tensor([[0.0, steps] for steps in range(8)])
-    raw_values = agent["critic"](obs) * agent["reward_norm"].var.sqrt()
-    assert (raw_values - 10).abs().max() < 1, raw_values  # blind to the limit: at most 5.7
-
-
-# --- Ratio, losses --------------------------------------------------------------------------------
+# --- Density, ratio, losses -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
 @pytest.mark.parametrize(("log_std", "mean"), [(-0.5, 0.0), (2.0, 30.0)], ids=["fresh", "far"])
-def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, squash):
-    args, agent, transitions, _ = play(options=f"--squash {squash} --log-std {log_std}", mean=mean)
-    agent["policy"].norm.update(torch.randn(50, 2))
-    for states, latents, old_log_probs, *_ in ppo.minibatches(transitions, *rows_of(agent), args):
-        ratio = (log_prob(agent, states, latents) - old_log_probs).exp()
-        assert (ratio - 1).abs().max() < 1e-5
-    metrics = ppo.optimise(agent, adam(agent, lr=0), transitions, args)
+def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, squash, monkeypatch):
+    args, agent, batch, _ = play(options=f"--squash {squash} --log-std {log_std}", mean=mean)
+    ratios = spy(monkeypatch, "policy_loss", lambda ratio, *_: ratio.detach())
+    metrics = ppo.optimise(agent, adam(agent, lr=0), batch, args)
+    assert len(ratios) == 3 * args.epochs
+    assert (torch.cat(ratios) - 1).abs().max() < 1e-5
     assert metrics["clip_fraction"] == 0
     assert abs(metrics["approx_kl"]) < 1e-6
 
 
-def rows_of(agent):
-    return agent["policy"], agent["critic"]
-
-
-def test_policies_acting_and_learning_see_the_same_density():
+def test_the_policy_that_acts_and_the_one_that_learns_have_the_same_density():
     """What rollout stores has the density that it was drawn from: N(μ(s), σ²), not clipped."""
-    _, agent, transitions, _ = play(options="--log-std 1")
-    states, latents, *_ = transitions.values()
-    noise = (latents - agent["policy"](states)[0]) / math.exp(1.0)
+    _, agent, batch, _ = play(options="--log-std 1")
+    noise = (batch["samples"] - agent.policy(batch["obs"])[0]) / math.exp(1.0)
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
+
+
+@pytest.mark.parametrize("std_speed", [0.3, 2.0])
+def test_log_std_starts_as_asked_and_moves_std_speed_times_as_far_as_its_parameter(std_speed):
+    agent = make_agent(f"--log-std 0.4 --std-speed {std_speed}")
+    for moved in 0.0, 0.1, 0.1:
+        agent.raw_log_std.data += moved
+        expected = agent.raw_log_std.data * std_speed
+        torch.testing.assert_close(agent.policy(torch.zeros(2))[1].data, expected)
+    torch.testing.assert_close(expected, torch.full((2,), 0.4 + 0.2 * std_speed))
 
 
 def test_log_probability_and_entropy_are_those_of_torch():
@@ -168,19 +211,18 @@ def test_log_probability_and_entropy_are_those_of_torch():
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
-    old, new = (make_policy(f"--log-std {x}").double() for x in (-0.5, 0.2))
-    new.mean_net[-1].bias.data += 0.7
-    obs = torch.randn(1000, 2, dtype=torch.float64)
-    latents = torch.randn(1000, 2, dtype=torch.float64)
-    action = torch.tanh(latents)
+    old, new = (make_agent(f"--log-std {x}").double() for x in (-0.5, 0.2))
+    new.actor[-1].bias.data += 0.7
+    obs, samples = torch.randn(2, 1000, 2, dtype=torch.float64)
+    action = torch.tanh(samples)
     squashed, gaussian = [], []
-    for policy in old, new:
-        mean, log_std = policy(obs)
+    for agent in old, new:
+        mean, log_std = agent.policy(obs)
         tanh_normal = TransformedDistribution(Normal(mean, log_std.exp()), [TanhTransform()])
         squashed.append(tanh_normal.log_prob(action).sum(-1))
-        gaussian.append(ppo.gaussian_log_prob(latents, mean, log_std))
+        gaussian.append(ppo.gaussian_log_prob(samples, mean, log_std))
     assert (squashed[0] - gaussian[0]).abs().max() > 0.1  # the densities themselves do differ
-    torch.testing.assert_close((squashed[1] - squashed[0]).exp(), (gaussian[1] - gaussian[0]).exp())
+    torch.testing.assert_close(squashed[1] - squashed[0], gaussian[1] - gaussian[0])
 
 
 def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
@@ -193,11 +235,10 @@ def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
 
 
 def test_policy_loss_starts_as_the_policy_gradient():
-    _, agent, transitions, _ = play()
-    states, latents, *_ = transitions.values()
-    log_probs = log_prob(agent, states, latents).flatten()
+    _, agent, batch, _ = play()
+    log_probs = log_prob(agent, batch["obs"], batch["samples"]).flatten()
     advantages = torch.randn(len(log_probs))
-    parameters = list(agent["policy"].parameters())
+    parameters = [*agent.actor.parameters(), agent.raw_log_std]
     ratio = (log_probs - log_probs.detach()).exp()
     loss = ppo.policy_loss(ratio, advantages, 0.2)
     ours = torch.autograd.grad(loss, parameters, retain_graph=True)
@@ -205,30 +246,24 @@ def test_policy_loss_starts_as_the_policy_gradient():
         torch.testing.assert_close(a, b)
 
 
-def test_value_loss_by_hand_with_and_without_clipping():
-    values, old_values = torch.tensor([1.0, 2.0, 0.2]), torch.tensor([0.0, 2.0, 0.0])
-    returns = torch.tensor([3.0, 0.0, 0.0])
-    plain = ppo.value_loss(values, old_values, returns, 0)
-    assert plain.item() == pytest.approx((4 + 4 + 0.04) / 3)
-    clipped = ppo.value_loss(values, old_values, returns, 0.5)  # 1 -> 0.5: further off, the larger
-    assert clipped.item() == pytest.approx((6.25 + 4 + 0.04) / 3)
+def test_value_loss_by_hand():
+    values, targets = torch.tensor([1.0, 2.0, 0.2]), torch.tensor([3.0, 0.0, 0.0])
+    assert ppo.value_loss(values, targets).item() == pytest.approx((4 + 4 + 0.04) / 3 / 2)
 
 
-def test_each_loss_reaches_its_own_network_and_targets_carry_no_gradient():
-    args, agent, transitions, _ = play()
-    rows = next(iter(ppo.minibatches(transitions, *rows_of(agent), args)))
-    assert not any(x.requires_grad for x in rows)
-    states, latents, old_log_probs, old_values, advantages, returns = rows
-    ratio = (log_prob(agent, states, latents) - old_log_probs).exp()
+def test_each_loss_reaches_its_own_network_only():
+    _, agent, batch, _ = play()
+    log_probs = log_prob(agent, batch["obs"], batch["samples"])
     losses = {
-        "policy": ppo.policy_loss(ratio, advantages, 0.2),
-        "critic": ppo.value_loss(agent["critic"](states), old_values, returns, 0.2),
+        "actor raw_log_std": ppo.policy_loss(log_probs.exp(), batch["rewards"], 0.2),
+        "critic": ppo.value_loss(agent.value(batch["obs"]), batch["rewards"]),
+        "raw_log_std": ppo.gaussian_entropy(agent.policy(batch["obs"])[1]),
     }
-    for name, loss in losses.items():
+    for names, loss in losses.items():
         agent.zero_grad(set_to_none=True)
         loss.backward()
         reached = {key.split(".")[0] for key, p in agent.named_parameters() if p.grad is not None}
-        assert reached == {name}
+        assert reached == set(names.split())
 
 
 def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
@@ -241,91 +276,204 @@ def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
     assert abs(estimate - exact) < 4 * standard_error
 
 
-def test_logged_entropy_and_std_are_those_of_the_latents():
-    args, agent, transitions, _ = play(options="--log-std 0.3")
-    mean, log_std = agent["policy"](transitions["states"][0, :1])
-    u = Normal(mean, log_std.exp()).sample((200_000,))
-    entropy = -ppo.gaussian_log_prob(u, mean, log_std).mean().item()
-    metrics = ppo.optimise(agent, adam(agent, lr=0), transitions, args)
-    assert metrics["entropy"] == pytest.approx(entropy, abs=0.01)
-    assert metrics["policy_std"] == pytest.approx(math.exp(0.3))
+# --- Update ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("log_std", [-1e3, 1e3])
-def test_a_runaway_log_std_stays_finite(log_std):
-    args, envs, obs, agent = make()
-    (parameter,) = (p for p in agent["policy"].parameters() if p.shape == harness.ACTIONS.shape
-                    and p is not agent["policy"].mean_net[-1].bias)
-    parameter.data.fill_(log_std)
-    transitions, _, _ = ppo.rollout(envs, agent["policy"], obs, args.rollout_steps, 0)
-    metrics = ppo.optimise(agent, adam(agent, lr=1e-3), transitions, args)
-    assert all(map(math.isfinite, metrics.values()))
+def watch_update(agent, batch, args, lr=0.0):
+    """Gradient descent. Of each step: its rows, the agent before, gradients; and diagnostics."""
+    obs, policy = batch["obs"].flatten(0, 1).tolist(), agent.policy
+    optimizer, rows, steps = torch.optim.SGD(agent.parameters(), lr), [], []
+
+    def spied_policy(shown):
+        rows.append([obs.index(x) for x in shown.tolist()])  # no two rows look alike
+        return policy(shown)
+
+    def keep(*_):
+        gradients = [p.grad.clone() for p in agent.parameters()]
+        steps.append((rows[-1], copy.deepcopy(agent), gradients))
+
+    agent.policy = spied_policy
+    optimizer.register_step_pre_hook(keep)
+    return steps, ppo.optimise(agent, optimizer, batch, args)
 
 
-def test_target_kl_ends_the_update_before_the_policy_has_gone_too_far():
-    moved = []
-    for target_kl in 0, 0.01:
+def gradients_by_hand(agent, old, start, batch, rows, args):
+    """Of the loss in step 6, from definitions; `old` played the rollout, `start` began the epoch.
+
+    And the share of ratios that are clipped.
+    """
+    obs, samples = (batch[name].flatten(0, 1)[rows] for name in ("obs", "samples"))
+    with torch.no_grad():
+        values, next_values = (
+            start.critic(start.norm(batch[name])).squeeze(-1) for name in ("obs", "next_obs"))
+        ends = batch["terminated"], batch["done"]
+        A = gae_by_hand(
+            batch["rewards"], values, next_values, *ends, args.gamma, args.gae_lambda)
+        targets, A = (A + values).flatten()[rows], A.flatten()[rows]
+        A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
+    pi, pi_old = (
+        Normal(x.actor(x.norm(obs)), (args.std_speed * x.raw_log_std).exp()) for x in (agent, old))
+    ratio = (pi.log_prob(samples) - pi_old.log_prob(samples).detach()).sum(-1).exp()
+    low, high = 1 - args.clip_eps, 1 + args.clip_eps
+    loss = -args.entropy_coef * pi.entropy().sum(-1).mean()
+    for i, value in enumerate(agent.critic(agent.norm(obs)).squeeze(-1)):
+        loss -= min(ratio[i] * A[i], min(max(ratio[i], low), high) * A[i]) / len(rows)
+        loss += args.value_coef * (value - targets[i]) ** 2 / 2 / len(rows)
+    clipped = ((ratio < low) | (ratio > high)).double().mean().item()
+    return torch.autograd.grad(loss, list(agent.parameters())), clipped
+
+
+@pytest.mark.parametrize("minibatches", [1, 3])
+@pytest.mark.parametrize("world", ["PPOUneven", "Forever"])
+def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatches):
+    """Its first step, at ratio 1, and later ones, of a policy and a critic that have moved.
+
+    In particular, no gradient goes through a bootstrap value, a target or an advantage.
+    """
+    options = f"--minibatch-size {100 // minibatches} --epochs 2 --max-grad-norm 1e9 --gamma 0.9"
+    options += " --gae-lambda 0.7 --value-coef 0.3 --entropy-coef 0.2 --clip-eps 0.1"
+    args, agent, batch, _ = play(world, f"{options} --std-speed 0.6")
+    batch = {name: x.double() if x.is_floating_point() else x for name, x in batch.items()}
+    batch["rewards"] = torch.randn_like(batch["rewards"])
+    old = copy.deepcopy(agent.double())
+    steps, _ = watch_update(agent, batch, args, lr=0.1)
+    assert len(steps) == 2 * minibatches
+    for i, (rows, before, gradients) in enumerate(steps):
+        start = steps[i - i % minibatches][1]
+        expected, clipped = gradients_by_hand(before, old, start, batch, rows, args)
+        assert clipped == 0 if i == 0 else 0.1 < clipped < 0.9
+        torch.testing.assert_close(gradients, list(expected), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("size", "lengths"), [(33, [34, 33, 33]), (50, [50, 50]), (51, [100]), (1000, [100])])
+def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked(size, lengths):
+    args, agent, batch, _ = play(options=f"--epochs 3 --minibatch-size {size}")
+    steps, _ = watch_update(agent, batch, args)
+    assert [len(rows) for rows, *_ in steps] == 3 * lengths
+    orders = np.reshape(sum((rows for rows, *_ in steps), []), (3, 100))
+    assert (np.sort(orders) == np.arange(100)).all()
+    assert len(np.unique(orders, axis=0)) == 3
+
+
+def test_each_epoch_takes_advantages_from_the_critic_as_it_is_by_then(monkeypatch):
+    args, agent, batch, _ = play("PPOUneven", "--epochs 3")
+
+    @torch.no_grad()
+    def compare(rewards, values, next_values, *_):
+        torch.testing.assert_close(values, agent.value(batch["obs"]))
+        torch.testing.assert_close(next_values, agent.value(batch["next_obs"]))
+        return values.mean().item()
+
+    seen = spy(monkeypatch, "compute_gae", compare)
+    ppo.optimise(agent, adam(agent, lr=1e-2), batch, args)
+    assert len(set(seen)) == len(seen) == 3
+
+
+@pytest.mark.parametrize("size", [1, 33])
+def test_parameters_stay_finite_whatever_the_minibatch(size):
+    args, agent, batch, _ = play("Target", f"--minibatch-size {size} --epochs 2")
+    ppo.optimise(agent, adam(agent, lr=1e-3), batch, args)
+    assert all(p.isfinite().all() for p in agent.parameters())
+
+
+def test_longer_gradients_are_shortened_all_together_and_logged_as_they_were():
+    logged, kept = [], []
+    for limit in 1e9, 1e-2:
         torch.manual_seed(0)
-        args, agent, transitions, _ = play("Target", f"--epochs 20 --target-kl {target_kl}")
-        states, latents = transitions["states"].flatten(0, 1), transitions["samples"].flatten(0, 1)
-        old = log_prob(agent, states, latents).detach()
-        ppo.optimise(agent, adam(agent, lr=3e-3), transitions, args)
-        log_ratio = log_prob(agent, states, latents) - old
+        args, agent, batch, _ = play(options=f"--max-grad-norm {limit} --epochs 1")
+        steps, metrics = watch_update(agent, batch, args)
+        norms = [torch.cat([x.flatten() for x in gradients]).norm() for *_, gradients in steps]
+        kept.append(np.array(norms))
+        logged.append(metrics["grad_norm"])
+    assert kept[0].min() > 0.1
+    assert logged == pytest.approx([kept[0].mean()] * 2)
+    assert kept[1] == pytest.approx(1e-2, rel=1e-3)
+
+
+def test_a_gradient_that_is_not_finite_ends_the_run_and_changes_no_parameter():
+    args, agent, batch, _ = play()
+    before = copy.deepcopy(agent.state_dict())
+    batch["rewards"][5, 2] = math.nan
+    with pytest.raises(RuntimeError, match="non-finite"):
+        ppo.optimise(agent, adam(agent, lr=1e-3), batch, args)
+    assert all(torch.equal(x, before[name]) for name, x in agent.state_dict().items())
+
+
+def test_a_kl_above_max_kl_ends_all_epochs_at_once(monkeypatch):
+    args, agent, batch, _ = play("Target", "--epochs 20 --max-kl 0.01")
+    kls = spy(monkeypatch, "approximate_kl", ppo.approximate_kl)
+    optimizer, steps = adam(agent, lr=2e-4), []
+    optimizer.register_step_post_hook(lambda *_: steps.append(1))
+    ppo.optimise(agent, optimizer, batch, args)
+    assert 3 < len(kls) < 57  # not even in the last epoch
+    assert kls[-1] > 0.01 >= max(kls[:-1])
+    assert len(steps) == len(kls) - 1
+
+
+def test_max_kl_ends_the_update_before_the_policy_has_gone_too_far():
+    moved = []
+    for max_kl in 1e9, 0.01:
+        torch.manual_seed(0)
+        args, agent, batch, _ = play("Target", f"--epochs 20 --max-kl {max_kl}")
+        old = log_prob(agent, batch["obs"], batch["samples"]).detach()
+        ppo.optimise(agent, adam(agent, lr=2e-4), batch, args)
+        log_ratio = log_prob(agent, batch["obs"], batch["samples"]) - old
         moved.append(ppo.approximate_kl(log_ratio).item())
     assert moved[1] < 0.03 < moved[0]
 
 
-# --- Minibatches ----------------------------------------------------------------------------------
-
-
-def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked():
-    args, agent, transitions, _ = play(options="--epochs 3")
-    rows = torch.arange(100.0).reshape(25, 4, 1)
-    transitions["samples"] = rows.expand(25, 4, 2)  # each latent names its row
-    parts = list(ppo.minibatches(transitions, *rows_of(agent), args))
-    assert [len(latents) for _, latents, *_ in parts] == [34, 33, 33] * 3
-    orders = [torch.cat([p[1][:, 0] for p in parts[i : i + 3]]) for i in (0, 3, 6)]
-    for order in orders:
-        assert order.sort().values.tolist() == list(range(100))
-    assert not torch.equal(orders[0], orders[1])
-
-
-def test_rows_of_a_minibatch_belong_together():
-    args, agent, transitions, _ = play()
-    states, latents, rewards, *_ = transitions.values()
-    ends = torch.ones(25, 4, dtype=torch.bool)
-    transitions["terminated"] = transitions["done"] = ends  # so that R = r
-    transitions["rewards"] = states.sum(-1) + latents.sum(-1)
-    for states, latents, old_log_probs, old_values, advantages, returns in ppo.minibatches(
-        transitions, *rows_of(agent), args
-    ):
-        torch.testing.assert_close(returns, states.sum(-1) + latents.sum(-1))
-        torch.testing.assert_close(old_values, agent["critic"](states))
-        torch.testing.assert_close(advantages, returns - old_values)
-        torch.testing.assert_close(old_log_probs, log_prob(agent, states, latents))
-
-
-def test_parameters_stay_finite_when_the_batch_is_no_multiple_of_the_minibatch():
-    args, agent, transitions, _ = play("Target", "--minibatch-size 33")
-    ppo.optimise(agent, adam(agent, lr=1e-3), transitions, args)
-    assert all(p.isfinite().all() for p in agent.parameters())
+@pytest.mark.parametrize("options", ["", "--epochs 20 --max-kl 0.01"], ids=["whole", "ended"])
+def test_diagnostics_are_means_over_all_minibatches_that_were_looked_at(options, monkeypatch):
+    """Also over the first, and over the one whose KL ended the update."""
+    args, agent, batch, _ = play("PPOUneven", f"--clip-eps 0.1 {options}")
+    seen = {
+        "policy_loss": spy(monkeypatch, "policy_loss", ppo.policy_loss),
+        "value_loss": spy(monkeypatch, "value_loss", ppo.value_loss),
+        "approx_kl": spy(monkeypatch, "approximate_kl", ppo.approximate_kl),
+        "entropy": spy(monkeypatch, "gaussian_entropy", ppo.gaussian_entropy),
+        "policy_std": spy(monkeypatch, "gaussian_entropy", lambda log_std: log_std.exp().mean()),
+        "clip_fraction": spy(
+            monkeypatch, "policy_loss",
+            lambda ratio, *_: ((ratio < 0.9) | (ratio > 1.1)).double().mean()),
+    }
+    metrics = ppo.optimise(agent, adam(agent, lr=5e-4), batch, args)
+    for name, values in seen.items():
+        assert metrics[name] == pytest.approx(np.mean([x.item() for x in values]), rel=1e-5)
+    assert metrics.keys() == {*seen, "explained_variance", "grad_norm"}
+    assert all(type(x) is float for x in metrics.values())
 
 
 @torch.no_grad()
-def test_advantages_are_taken_anew_from_the_critic_of_each_epoch():
-    args, agent, transitions, _ = play(options="--epochs 2 --minibatch-size 100")
-    critic = agent["critic"]
-    for rows in ppo.minibatches(transitions, *rows_of(agent), args):
-        _, _, _, old_values, advantages, returns = rows
-        values, next_values = critic(transitions["states"]), critic(transitions["next_states"])
-        expected = ppo.compute_gae(
-            transitions["rewards"], values, next_values, transitions["terminated"],
-            transitions["done"], args.gamma, args.gae_lambda,
-        )
-        order = torch.argsort(advantages), torch.argsort(expected.flatten())
-        torch.testing.assert_close(advantages[order[0]], expected.flatten()[order[1]])
-        torch.testing.assert_close(returns, advantages + old_values)
-        critic.value[-1].bias.data += 5.0
+def test_explained_variance_is_that_of_the_critic_before_the_update():
+    """Of the whole rollout: 1 − var(R − V) / var(R)."""
+    args, agent, batch, _ = play("PPOUneven", "--gamma 0.9 --gae-lambda 0.8")
+    values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
+    ends = batch["terminated"], batch["done"]
+    R = values + gae_by_hand(batch["rewards"], values, next_values, *ends, 0.9, 0.8)
+    with torch.enable_grad():
+        metrics = ppo.optimise(agent, adam(agent, lr=1e-2), batch, args)
+    explained = 1 - (R - values).var() / R.var()
+    assert metrics["explained_variance"] == pytest.approx(explained.item(), rel=1e-4)
+
+
+def test_logged_entropy_and_std_are_those_of_the_samples():
+    args, agent, batch, _ = play(options="--log-std 0.3")
+    mean, log_std = agent.policy(batch["obs"][0, :1])
+    u = Normal(mean, log_std.exp()).sample((200_000,))
+    entropy = -ppo.gaussian_log_prob(u, mean, log_std).mean().item()
+    metrics = ppo.optimise(agent, adam(agent, lr=0), batch, args)
+    assert metrics["entropy"] == pytest.approx(entropy, abs=0.01)
+    assert metrics["policy_std"] == pytest.approx(math.exp(0.3))
+
+
+@pytest.mark.parametrize("raw_log_std", [-1e3, 1e3])
+def test_a_runaway_log_std_stays_finite(raw_log_std):
+    args, envs, obs, agent = make()
+    agent.raw_log_std.data.fill_(raw_log_std)
+    batch, _, _ = ppo.rollout(envs, agent, obs, args.rollout_steps, 0)
+    metrics = ppo.optimise(agent, adam(agent, lr=1e-3), batch, args)
+    assert all(map(math.isfinite, metrics.values()))
 
 
 # --- Normalisation --------------------------------------------------------------------------------
@@ -338,6 +486,17 @@ def test_running_norm_equals_numpy_over_unequal_chunks():
     np.testing.assert_allclose(norm.mean, rows.numpy().mean(0), rtol=1e-5)
     np.testing.assert_allclose(norm.var, rows.numpy().var(0), rtol=1e-4)
     assert norm.count == 500
+    x = torch.randn(10, 3) * 50
+    expected = ((x - rows.mean(0)) / rows.std(0, correction=0)).clamp(-10, 10)
+    torch.testing.assert_close(norm(x), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_the_first_update_of_a_running_norm_forgets_that_it_began_with_variance_1():
+    norm, rows = ppo.RunningNorm((2,)), torch.randn(1000, 2) * 3e-4 + torch.tensor([0.0, 1e-3])
+    norm.update(rows)
+    exact = rows.double().numpy()
+    np.testing.assert_allclose(norm.var.sqrt(), exact.std(0), rtol=1e-4)
+    np.testing.assert_allclose(norm.mean, exact.mean(0), rtol=1e-4)
 
 
 def test_a_dimension_that_never_moved_may_jump():
@@ -349,35 +508,31 @@ def test_a_dimension_that_never_moved_may_jump():
 
 def test_only_update_changes_the_statistics():
     args, envs, obs, agent = make()
-    agent["policy"].norm.update(torch.randn(50, 2))
-    before = {name: x.clone() for name, x in agent.state_dict().items()}
-    ppo.rollout(envs, agent["policy"], obs, 5, 0)
-    ppo.evaluate(agent["policy"], gym.make(args.env_id), [1, 2])
-    agent["critic"](torch.randn(5, 2))
+    before = copy.deepcopy(agent.state_dict())
+    ppo.rollout(envs, agent, obs, 5, 0)
+    ppo.evaluate(agent, [ppo.record_episodes(gym.make(args.env_id))], seed=1)
+    agent.value(torch.randn(5, 2))
     assert all(torch.equal(x, before[name]) for name, x in agent.state_dict().items())
 
 
 def test_all_environments_share_one_set_of_statistics():
-    _, _, _, agent = make()
-    norm = agent["policy"].norm
-    norm.update(torch.randn(50, 2))
-    assert norm is agent["critic"].norm
-    assert norm.mean.shape == (2,)
+    norm = make_agent().norm
+    assert norm.mean.shape == norm.var.shape == (2,)
     assert (norm(torch.ones(4, 2)) == norm(torch.ones(2))).all()
 
 
 def test_rewards_are_divided_by_the_std_of_the_discounted_return_so_far():
-    norm, carry, seen = ppo.RunningNorm(()), 0.0, []
-    G = np.zeros(3)
-    for _ in range(4):  # several rollouts, over which G and the statistics go on
-        rewards, done = torch.randn(10, 3), torch.rand(10, 3) < 0.2
-        scaled, carry = ppo.scale_rewards(rewards, done, carry, norm, 0.9)
+    norm, past_return, seen = ppo.RunningNorm(()), 0.0, []
+    F = np.zeros(3)
+    for _ in range(4):  # several rollouts, over which F and the statistics go on
+        rewards, done = torch.randn(10, 3) + 1, torch.rand(10, 3) < 0.2
+        scaled, past_return = ppo.scale_rewards(rewards, done, past_return, norm, 0.9)
         for t in range(10):
-            G = rewards[t].numpy() + 0.9 * G
-            seen.append(G)
-            G = np.where(done[t], 0, G)
+            F = rewards[t].numpy() + 0.9 * F
+            seen.append(F)
+            F = np.where(done[t], 0, F)
         np.testing.assert_allclose(scaled, rewards / np.std(seen), rtol=1e-4)
-        np.testing.assert_allclose(carry, 0.9 * G, rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(past_return, F, rtol=1e-4, atol=1e-6)
     assert norm.mean.item() == pytest.approx(np.mean(seen), abs=1e-4)
 
 
@@ -385,66 +540,193 @@ def test_rewards_are_divided_by_the_std_of_the_discounted_return_so_far():
 
 
 @pytest.mark.parametrize(("squash", "edge"), [("clip", 1.0), ("clip", 50.0), ("tanh", 50.0)])
-def test_the_edges_of_the_latents_are_exactly_the_bounds_of_the_actions(squash, edge):
-    policy = make_policy(f"--squash {squash}")
-    assert policy.bound(torch.tensor([-edge, -edge])).tolist() == [-1, 0]
-    assert policy.bound(torch.tensor([edge, edge])).tolist() == [3, 0.5]
-    assert policy.bound(torch.zeros(2)).tolist() == [1, 0.25]
+def test_the_edges_of_the_samples_are_exactly_the_bounds_of_the_actions(squash, edge):
+    agent = make_agent(f"--squash {squash}")
+    assert agent.bound(torch.tensor([-edge, -edge])).tolist() == [-1, 0]
+    assert agent.bound(torch.tensor([edge, edge])).tolist() == [3, 0.5]
+    assert agent.bound(torch.zeros(2)).tolist() == [1, 0.25]
     unit = torch.tensor([0.5, -0.5])
-    latents = torch.atanh(unit) if squash == "tanh" else unit
-    torch.testing.assert_close(policy.bound(latents), torch.tensor([2.0, 0.125]))
+    samples = torch.atanh(unit) if squash == "tanh" else unit
+    torch.testing.assert_close(agent.bound(samples), torch.tensor([2.0, 0.125]))
 
 
 @pytest.mark.parametrize("squash", ["tanh", "clip"])
-def test_no_environment_gets_an_action_out_of_bounds_though_latents_may_be(squash):
-    _, _, transitions, _ = play(options=f"--squash {squash} --log-std 2", mean=30.0)
-    assert transitions["samples"].abs().max() > 30  # the latents; the world asserts its bounds
+def test_no_environment_gets_an_action_out_of_bounds_though_samples_may_be(squash):
+    _, _, batch, _ = play(options=f"--squash {squash} --log-std 2", mean=30.0)
+    assert batch["samples"].abs().max() > 30  # the world asserts the bounds of its actions
+
+
+def test_the_stored_samples_are_those_of_the_actions_that_were_executed():
+    """In this world the sum of an action is its reward."""
+    _, agent, batch, _ = play("PPOUneven")
+    torch.testing.assert_close(batch["rewards"], agent.bound(batch["samples"]).sum(-1))
 
 
 def test_deterministic_actions_are_those_of_the_mean():
     _, _, obs, agent = make()
-    latents, actions = agent["policy"].act(obs, deterministic=True)
-    np.testing.assert_array_equal(latents, agent["policy"](torch.as_tensor(obs))[0].detach())
-    np.testing.assert_array_equal(actions, agent["policy"].bound(torch.as_tensor(latents)))
-    sampled, _ = agent["policy"].act(obs)
-    assert len(np.unique(sampled - latents)) == latents.size  # each has its own noise
+    samples, actions = agent.act(obs, deterministic=True)
+    np.testing.assert_array_equal(samples, agent.policy(torch.as_tensor(obs))[0].detach())
+    np.testing.assert_array_equal(actions, agent.bound(torch.as_tensor(samples)))
+    sampled, _ = agent.act(obs)
+    assert len(np.unique(sampled - samples)) == samples.size  # each has its own noise
+
+
+def test_a_new_policy_acts_alike_in_all_states():
+    args, envs, obs, _ = make()
+    agent = ppo.Agent(envs.single_observation_space, envs.single_action_space, args)
+    samples, _ = agent.act(obs * 10, deterministic=True)
+    assert 0 < np.abs(samples).max() < 0.05
 
 
 # --- Rollout and seeds ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("env", ["ThreeSteps", "Forever"])
-def test_every_row_is_a_real_transition(env):
+@pytest.mark.parametrize("world", ["ThreeSteps", "PPOUneven", "Forever"])
+def test_every_row_is_a_real_transition(world):
     """The world shows (episode, steps since its start): what each row must look like is known."""
-    _, _, transitions, _ = play(env)
-    states, _, rewards, next_states, terminated, done = transitions.values()
-    length = {"ThreeSteps": 3, "Forever": 8}[env]
-    assert (states[0, :, 1] == 0).all()
-    assert torch.equal(next_states[..., 0], states[..., 0])  # the same episode, also at its end
-    assert torch.equal(next_states[..., 1], states[..., 1] + 1)
-    assert torch.equal(done, next_states[..., 1] == length)
-    assert torch.equal(terminated, done if env == "ThreeSteps" else torch.zeros_like(done))
+    _, _, batch, _ = play(world)
+    obs, _, rewards, next_obs, terminated, done = batch.values()
+    length = {"ThreeSteps": 3, "PPOUneven": torch.where(obs[..., 0] > 0, 4, 3), "Forever": 8}[world]
+    assert (obs[0, :, 1] == 0).all()
+    assert torch.equal(next_obs[..., 0], obs[..., 0])  # the same episode, also at its end
+    assert torch.equal(next_obs[..., 1], obs[..., 1] + 1)
+    assert torch.equal(done, next_obs[..., 1] == length)
+    assert torch.equal(terminated, torch.zeros_like(done) if world == "Forever" else done)
     goes_on = ~done[:-1]
-    assert torch.equal(states[1:][goes_on], next_states[:-1][goes_on])
-    assert (states[1:][done[:-1]][:, 1] == 0).all()
-    assert (rewards == 1).all()
-    assert all(x.dtype in (torch.float32, torch.bool) for x in (states, rewards, next_states, done))
+    assert torch.equal(obs[1:][goes_on], next_obs[:-1][goes_on])
+    assert (obs[1:][~goes_on][:, 1] == 0).all()
+    assert (rewards == 1).all() or world == "PPOUneven"
+    assert all(x.dtype in (torch.float32, torch.bool) for x in batch.values())
 
 
 def test_every_finished_episode_is_logged_once_with_its_raw_return_and_length():
-    args, envs, obs, agent = make()
+    _, envs, obs, agent = make()
     episodes = []
     for start in range(0, 60, 20):  # 5 steps in 4 environments at a time: some span two rollouts
-        _, obs, ended = ppo.rollout(envs, agent["policy"], obs, 5, start)
+        _, obs, ended = ppo.rollout(envs, agent, obs, 5, start)
         episodes += ended
-    assert episodes == [(4 * step, 3.0, 3) for step in (3, 6, 9, 12, 15) for _ in range(4)]
+    assert episodes == [
+        {"env_step": 4 * step, "return": 3.0, "length": 3}
+        for step in (3, 6, 9, 12, 15) for _ in range(4)]
+
+
+def test_environments_that_end_at_different_steps_have_their_own_returns():
+    _, _, batch, episodes = play("PPOUneven")
+    expected = []
+    for t, n in batch["done"].nonzero().tolist():
+        length = int(batch["next_obs"][t, n, 1])
+        rewards = batch["rewards"][t + 1 - length:t + 1, n]
+        expected.append((4 * (t + 1), pytest.approx(rewards.sum().item(), rel=1e-5), length))
+    assert [tuple(row.values()) for row in episodes] == expected
+    assert {row["length"] for row in episodes} == {3, 4}
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("what", "total", "steps"),
+    [("reward", 2, 2), ("observe", 2, 2), ("observe", 3, 3), ("observe", 3, 0)],
+    ids=["reward", "observation", "last observation", "first observation"])
+def test_nan_or_infinity_from_an_environment_ends_the_run(what, total, steps, value):
+    """`total` counts the steps of the world, `steps` those since the start of its episode."""
+    _, envs, obs, agent = make()
+    world = envs.envs[2].unwrapped
+    healthy = getattr(world, what)
+
+    def faulty(*arguments):
+        result = healthy(*arguments)
+        return result + value if (world.total, world.steps) == (total, steps) else result
+
+    setattr(world, what, faulty)
+    with pytest.raises(SystemExit) as end:
+        ppo.rollout(envs, agent, obs, 10, 4 * 100)
+    assert "environment 2 " in end.value.code
+    assert f"step {100 + total}" in end.value.code
 
 
 def test_environments_of_a_run_start_differently_and_seeds_are_all_different():
     _, _, obs, _ = make()
     assert len(np.unique(obs[:, 0])) == len(obs)
     seeds = [
-        x for seed in range(10) for stream in range(10) for x in ppo.make_seeds(seed, stream, 16)
-    ]
+        x for seed in range(10) for stream in range(10) for x in ppo.make_seeds(seed, stream, 16)]
     assert len(set(seeds)) == len(seeds) == 1600
     assert ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 9)[:5]
+
+
+# --- Training and evaluation ----------------------------------------------------------------------
+
+
+def train(folder, env="PPOUneven", options=""):
+    """A run: the parameters and statistics at its end."""
+    ppo.train(parse(env, options), 1, folder)
+    return torch.load(folder / "checkpoint.pt", weights_only=True)["agent"]
+
+
+def test_the_agent_that_learns_from_a_rollout_is_the_one_that_played_it(tmp_path, monkeypatch):
+    """Also its statistics: they change after the update, or ρ would not start at 1."""
+    played = spy(monkeypatch, "rollout", lambda _, agent, *rest: copy.deepcopy(agent.state_dict()))
+    learned = spy(monkeypatch, "optimise", lambda agent, *_: copy.deepcopy(agent.state_dict()))
+    batches = spy(monkeypatch, "optimise", lambda agent, optimizer, batch, args: batch)
+    end = train(tmp_path / "seed", options="--total-steps 300")
+    assert [x["norm.count"].item() for x in [*played, end]] == [0, 100, 200, 300]
+    for before, then in zip(played, learned):
+        same = {name for name, x in then.items() if torch.equal(x, before[name])}
+        assert then.keys() - same == {"reward_norm.mean", "reward_norm.var", "reward_norm.count"}
+    obs = torch.cat([batch["obs"].flatten(0, 1) for batch in batches])
+    torch.testing.assert_close(end["norm.mean"], obs.mean(0))
+    torch.testing.assert_close(end["norm.var"], obs.var(0, correction=0))
+
+
+def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(tmp_path, monkeypatch):
+    """Episodes of 3 steps of reward 1: F is 1, 1 + γ, 1 + γ + γ², then 1 again."""
+    batches = spy(monkeypatch, "optimise", lambda agent, optimizer, batch, args: batch)
+    train(tmp_path / "seed", "ThreeSteps", "--gamma 0.8 --total-steps 300")
+    assert len(batches) == 3
+    for i, batch in enumerate(batches):
+        F = [[1, 1.8, 2.44][t % 3] for t in range(25 * (i + 1))]
+        np.testing.assert_allclose(batch["rewards"], 1 / np.std(F), rtol=1e-5)
+
+
+def test_the_learning_rate_falls_in_a_straight_line_for_all_parameters(tmp_path, monkeypatch):
+    def look(agent, optimizer, *_):
+        (group,) = optimizer.param_groups
+        assert {id(p) for p in group["params"]} == {id(p) for p in agent.parameters()}
+        return group["lr"]
+
+    rates = spy(monkeypatch, "optimise", look)
+    train(tmp_path / "seed", options="--learning-rate 4e-3 --total-steps 350")  # 3.5 rollouts
+    assert rates == pytest.approx([4e-3, 3e-3, 2e-3, 1e-3])
+    metrics = pd.read_csv(tmp_path / "seed/metrics.csv")
+    assert metrics["learning_rate"].tolist() == pytest.approx(rates)
+
+
+def test_an_evaluation_plays_one_deterministic_episode_of_each_seed():
+    """Side by side, although some end sooner, as if each were played by itself."""
+    args, _, _, agent = make("PPOUneven")
+    envs = [ppo.record_episodes(gym.make(args.env_id)) for _ in range(6)]
+    returns, lengths = [], []
+    for seed in ppo.make_seeds(7, stream=1, count=6):
+        obs, _ = envs[0].reset(seed=seed)
+        ended, rewards = False, []
+        while not ended:
+            mean, _ = agent.policy(torch.as_tensor(obs))
+            obs, reward, ended, *_ = envs[0].step(agent.bound(mean.detach()).numpy())
+            rewards.append(reward)
+        returns.append(sum(rewards))
+        lengths.append(len(rewards))
+    assert set(lengths) == {3, 4}
+    expected = {"return_mean": np.mean(returns), "return_std": np.std(returns),
+                "length_mean": np.mean(lengths), "episodes": 6}
+    assert expected["return_std"] > 0.01
+    for _ in range(2):
+        assert ppo.evaluate(agent, envs, seed=7) == pytest.approx(expected, rel=1e-5)
+        torch.manual_seed(1)
+    assert ppo.evaluate(agent, envs, seed=8) != pytest.approx(expected, rel=1e-3)
+
+
+def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
+    options = "--gamma 0.9 --total-steps 2560 --rollout-steps 16 --minibatch-size 64"
+    agent = make_agent()
+    agent.load_state_dict(train(tmp_path / "seed", "PPOTimeless", f"{options} --learning-rate 1e-2"))
+    obs = torch.tensor([[-0.8, 0.0], [0.0, 0.0], [0.8, 0.0]])
+    raw_values = agent.value(obs) * agent.reward_norm.var.sqrt()
+    assert (raw_values - 10).abs().max() < 0.5, raw_values  # blind to the limit: at most 5.7

@@ -8,11 +8,31 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from harness import read_json
 
 import reinforce_mujoco as rf
 
 BASELINES = ["none", "mean", "value"]
+
+
+class Spoilt(harness.World):
+    """Where its `fault` is, its step `fault_at` returns `number`; at its step 6 an episode ends."""
+
+    number = None
+
+    def spoil(self, where, x):
+        hit = self.number is not None and self.fault == where and self.total == self.fault_at
+        return x * self.number if hit else x
+
+    def observe(self):
+        return self.spoil("observation", super().observe() + 1)
+
+    def reward(self, action):
+        return self.spoil("reward", 1.0)
+
+
+for name, world, length in ("Spoilt", Spoilt, 3), ("Endless", harness.World, None):
+    if f"{name}-v0" not in gym.registry:
+        harness.register(name, world, length=length)
 
 
 @pytest.fixture(autouse=True)
@@ -20,12 +40,17 @@ def fixed_seed():
     torch.manual_seed(0)
 
 
+def parse(world, options=""):
+    sizes = "--num-evals 1 --eval-episodes 1"
+    return rf.parse_args(f"--env-id {world}-v0 {sizes} {options}".split())
+
+
 def make(world="ThreeSteps", options=""):
     """Arguments, an environment that has been seeded, and an agent for it."""
-    args = rf.parse_args(f"--env-id harness:{world}-v0 {options}".split())
-    env = rf.CheckedEnv(gym.make(args.env_id), 0)
+    args = parse(world, options)
+    env = rf.record_episodes(gym.make(args.env_id))
     env.reset(seed=1)
-    return args, env, rf.make_agent(args, env)
+    return args, env, rf.Agent(env.observation_space, env.action_space, args)
 
 
 @pytest.fixture
@@ -33,7 +58,7 @@ def watched(tmp_path, monkeypatch):
     """Trains, and gives what went into and came out of the named functions; the agent; tables."""
 
     def train(world, options, *names, seed=1):
-        calls = {name: [] for name in (*names, "make_agent")}
+        calls = {name: [] for name in (*names, "Agent")}
 
         def record(name, function):
             def recorded(*args):
@@ -42,22 +67,25 @@ def watched(tmp_path, monkeypatch):
 
             return recorded
 
-        args = rf.parse_args(f"--env-id harness:{world}-v0 --eval-every 0 {options}".split())
-        folder = tmp_path / f"seed-{seed}"
         with monkeypatch.context() as patch:
             for name in calls:
                 patch.setattr(rf, name, record(name, getattr(rf, name)))
-            rf.train(args, seed, folder, tmp_path / "stop")
-        ((_, agent),) = calls.pop("make_agent")
-        return agent, calls, folder
+            rf.train(parse(world, options), seed, tmp_path / f"seed-{seed}")
+        ((_, agent),) = calls.pop("Agent")
+        return agent, calls, tmp_path / f"seed-{seed}"
 
     return train
 
 
-def log_density(policy, states, samples):
-    """log π(u|s) of independent Gaussians, written out; (T,)."""
-    mean, std = policy.mean(policy.trunk(states)), policy(states).stddev
-    noise = (samples - mean) / std
+def policy_networks(agent):
+    return torch.nn.ModuleList((agent.trunk, agent.mean, agent.raw_std))
+
+
+def log_density(agent, obs, samples):
+    """log π(u|s) of independent Gaussians, written out; (B,)."""
+    features = agent.trunk(obs)
+    std = (1 + agent.raw_std(features).exp()).log() + 0.1
+    noise = (samples - agent.mean(features)) / std
     return (-(noise**2) / 2 - std.log() - math.log(2 * math.pi) / 2).sum(1)
 
 
@@ -67,10 +95,9 @@ def log_density(policy, states, samples):
 @pytest.mark.parametrize("last_return", [0.0, 7.5])
 @pytest.mark.parametrize("gamma", [0.0, 0.9, 1.0])
 def test_returns_are_the_discounted_rewards_from_a_step_on(gamma, last_return):
-    rewards = torch.randn(30, dtype=torch.float64)
+    rewards = np.random.default_rng(0).normal(size=30).tolist()
     expected = [
-        sum(gamma ** (k - t) * rewards[k].item() for k in range(t, 30))
-        + gamma ** (30 - t) * last_return
+        sum(gamma ** (k - t) * rewards[k] for k in range(t, 30)) + gamma ** (30 - t) * last_return
         for t in range(30)
     ]
     returns = rf.discounted_returns(rewards, last_return, gamma)
@@ -78,22 +105,23 @@ def test_returns_are_the_discounted_rewards_from_a_step_on(gamma, last_return):
 
 
 def test_returns_of_a_very_long_episode_do_not_take_for_ever():
-    returns = rf.discounted_returns(torch.ones(100_000), 0.0, 0.99)  # T²: 10,000,000,000 steps
-    assert returns[0].item() == pytest.approx(100, rel=1e-4)
+    returns = rf.discounted_returns([1.0] * 100_000, 0.0, 0.99)  # T²: 10,000,000,000 steps
+    assert returns[0] == pytest.approx(100, rel=1e-4)
     assert returns[-2:].tolist() == pytest.approx([1.99, 1])
 
 
 def test_advantages_by_hand():
     returns, values = torch.tensor([1.0, 2.0, 6.0]), torch.tensor([0.5, 3.0, 2.0])
-    assert rf.compute_advantages(returns, None, "none").tolist() == [1, 2, 6]
+    assert rf.compute_advantages(returns, torch.zeros(3), "none").tolist() == [1, 2, 6]
     assert rf.compute_advantages(returns, values, "value").tolist() == [0.5, -1, 4]
-    centred = rf.compute_advantages(returns, None, "mean")
-    torch.testing.assert_close(centred / centred[1], torch.tensor([-2.0, -1.0, 3.0]) / -1)
-    assert centred[2] > 0
+    std = math.sqrt((4 + 1 + 9) / 3)
+    centred = rf.compute_advantages(returns, values, "mean")
+    torch.testing.assert_close(centred, torch.tensor([-2.0, -1.0, 3.0]) / std)
 
 
 def test_the_mean_baseline_leaves_mean_0_and_std_1():
-    advantages = rf.compute_advantages(50 + 20 * torch.randn(1000), None, "mean")
+    returns = 50 + 20 * torch.randn(1000)
+    advantages = rf.compute_advantages(returns, torch.zeros(1000), "mean")
     assert abs(advantages.mean().item()) < 1e-5
     assert advantages.std().item() == pytest.approx(1, abs=1e-3)
 
@@ -107,19 +135,22 @@ def test_advantages_carry_no_gradient(baseline):
 @pytest.mark.parametrize("returns", [[3.0], [3.0, 3.0, 3.0]])
 def test_a_batch_of_equal_returns_has_finite_advantages(returns):
     """One step in all is such a batch, and the usual std of one number is NaN."""
-    advantages = rf.compute_advantages(torch.tensor(returns), None, "mean")
+    returns = torch.tensor(returns)
+    advantages = rf.compute_advantages(returns, torch.zeros_like(returns), "mean")
     assert advantages.tolist() == [0.0] * len(returns)
 
 
 # --- The gradient ---------------------------------------------------------------------------------
 
 
-def test_policy_loss_by_hand():
+def test_losses_by_hand():
     log_probs = torch.tensor([-1.0, -2.0, 0.5], requires_grad=True)
     loss = rf.policy_loss(log_probs, torch.tensor([2.0, -1.0, 4.0]))
     assert loss.item() == pytest.approx(-(-2 + 2 + 2) / 3)
     loss.backward()
     torch.testing.assert_close(log_probs.grad, -torch.tensor([2.0, -1.0, 4.0]) / 3)
+    values, targets = torch.tensor([1.0, 2.0, 0.0]), torch.tensor([3.0, 1.0, 0.0])
+    assert rf.value_loss(values, targets).item() == pytest.approx((4 + 1 + 0) / 3 / 2)
 
 
 @pytest.mark.parametrize("baseline", BASELINES)
@@ -130,25 +161,33 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     At learning rate 0 the agent stays what it was, so that all can be computed again afterwards.
     """
     options = f"--batch-episodes {episodes} --total-steps 3 --learning-rate 0 --gamma 0.9"
-    agent, calls, _ = watched("ThreeActions", f"{options} --baseline {baseline}", "sample_episode")
-    played = [result for _, result in calls["sample_episode"]]
-    states, samples = (torch.cat([x[i] for x in played]) for i in (0, 1))
+    agent, calls, folder = watched("ThreeActions", f"{options} --baseline {baseline}", "rollout")
+    ((_, (batch, _)),) = calls["rollout"]
+    obs, samples = batch["obs"], batch["samples"]
     assert samples.shape == (3 * episodes, 3)
     returns = torch.tensor([1 + 0.9 * (1 + 0.9), 1 + 0.9, 1.0] * episodes)
-    advantages, expected = returns, {}
+    torch.testing.assert_close(batch["returns"], returns)
+    advantages, loss_v = returns, None
     if baseline == "mean":
-        advantages = rf.compute_advantages(returns, None, "mean")
+        advantages = (returns - returns.mean()) / returns.std(correction=0)
     if baseline == "value":
-        values = agent["value"](states)[:, 0]
+        values = agent.critic(obs)[:, 0]
         advantages = returns - values.detach()
-        expected["value"] = ((values - returns) ** 2).sum() / (2 * len(returns))
-    expected["policy"] = -(log_density(agent["policy"], states, samples) * advantages).sum()
-    expected["policy"] /= len(returns)
-    for name, loss in expected.items():
-        parameters = list(agent[name].parameters())
-        for p, gradient in zip(parameters, torch.autograd.grad(loss, parameters)):
-            torch.testing.assert_close(p.grad, gradient, rtol=1e-4, atol=1e-6)
-            assert gradient.abs().max() > 1e-4
+        loss_v = ((values - returns) ** 2).sum() / (2 * len(returns))
+    loss_pi = -(log_density(agent, obs, samples) * advantages).sum() / len(returns)
+    parameters = list(policy_networks(agent).parameters())
+    gradients = list(torch.autograd.grad(loss_pi, parameters))
+    if loss_v is not None:
+        gradients += torch.autograd.grad(loss_v, list(agent.critic.parameters()))
+        parameters += agent.critic.parameters()
+    assert len(parameters) == len(list(agent.parameters()))
+    for p, gradient in zip(parameters, gradients):
+        torch.testing.assert_close(p.grad, gradient, rtol=1e-4, atol=1e-6)
+        assert gradient.abs().max() > 1e-4
+    metrics = pd.read_csv(folder / "metrics.csv").iloc[0]
+    assert metrics["policy_loss"] == pytest.approx(loss_pi.item(), rel=1e-4)
+    if baseline == "value":
+        assert metrics["value_loss"] == pytest.approx(loss_v.item(), rel=1e-4)
 
 
 def bandit_gradients(baseline, batches=2000, B=8):
@@ -157,31 +196,35 @@ def bandit_gradients(baseline, batches=2000, B=8):
     One step, one state, reward 10 − |u − c|². Its mean is 10 − Σ((μ − c)² + σ²), of which the
     derivatives are −2(μ − c) and −2σ·dσ.
     """
-    _, _, agent = make("ThreeSteps", "--baseline value")
-    policy, state, c = agent["policy"], torch.zeros(1, 2), torch.tensor([0.8, -0.5])
-    mean, std = policy(state).mean[0].detach(), policy(state).stddev[0].detach()
-    slope = torch.sigmoid(policy.raw_std(policy.trunk(state))[0]).detach()  # of softplus
+    _, _, agent = make("ThreeSteps", f"--baseline {baseline}")
+    obs, c = torch.zeros(1, 2), torch.tensor([0.8, -0.5])
+    mean, std = agent.policy(obs).mean[0].detach(), agent.policy(obs).stddev[0].detach()
+    slope = torch.sigmoid(agent.raw_std(agent.trunk(obs))[0]).detach()  # of softplus
     analytic = torch.cat([-2 * (mean - c), -2 * std * slope])
-    agent["value"][-1].bias.data.fill_(10 - ((mean - c) ** 2 + std**2).sum().item())
-    heads = [policy.mean.bias, policy.raw_std.bias]
-    states, gradients = state.expand(B, 2), []
+    if baseline == "value":
+        agent.critic[-1].bias.data.fill_(10 - ((mean - c) ** 2 + std**2).sum().item())
+    heads = [agent.mean.bias, agent.raw_std.bias]
+    obs, gradients = obs.expand(B, 2), []
     for _ in range(batches):
-        distribution = policy(states)
-        samples = distribution.sample()
+        policy = agent.policy(obs)
+        samples = policy.sample()
         returns = 10 - ((samples - c) ** 2).sum(-1)
-        advantages = rf.compute_advantages(returns, agent["value"](states)[:, 0], baseline)
+        advantages = rf.compute_advantages(returns, agent.value(obs), baseline)
         if baseline == "mean":  # undo the division by the std; a return is 1/B of its own baseline
             advantages = advantages * (returns - returns.mean()).norm() / advantages.norm()
             advantages = advantages / (1 - 1 / B)
-        loss = rf.policy_loss(distribution.log_prob(samples).sum(-1), advantages)
+        loss = rf.policy_loss(policy.log_prob(samples).sum(-1), advantages)
         gradients.append(-torch.cat(torch.autograd.grad(loss, heads)))
     return torch.stack(gradients), analytic
 
 
 @pytest.fixture(scope="module")
 def bandit():
-    torch.manual_seed(0)
-    return {baseline: bandit_gradients(baseline) for baseline in BASELINES}
+    gradients = {}
+    for baseline in BASELINES:
+        torch.manual_seed(0)
+        gradients[baseline] = bandit_gradients(baseline)
+    return gradients
 
 
 @pytest.mark.parametrize("baseline", BASELINES)
@@ -208,94 +251,118 @@ def test_a_batch_that_teaches_nothing_changes_nothing(watched):
         assert torch.equal(p, q)
 
 
-# --- Policy ---------------------------------------------------------------------------------------
+# --- Agent ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("baseline", BASELINES)
+def test_there_is_a_critic_with_baseline_value_only(baseline):
+    _, _, agent = make(options=f"--baseline {baseline}")
+    obs = torch.randn(4, 5, 2)
+    assert agent.value(obs).shape == (4, 5)
+    if baseline == "value":
+        torch.testing.assert_close(agent.value(obs), agent.critic(obs)[..., 0])
+        assert len(agent.value(obs).unique()) == 20
+    else:
+        assert agent.critic is None
+        assert not agent.value(obs).any()
 
 
 def test_the_mean_of_the_distribution_is_what_the_mean_head_says():
     _, _, agent = make()
-    policy, states = agent["policy"], torch.randn(50, 2)
-    assert torch.equal(policy(states).mean, policy.mean(policy.trunk(states)))
-    assert len(policy(states).stddev.unique()) == 100  # σ depends on the state
+    policy, features = agent.policy(torch.ones(50, 2)), agent.trunk(torch.ones(50, 2))
+    assert torch.equal(policy.mean, agent.mean(features))
+    std = agent.policy(torch.randn(50, 2)).stddev
+    assert len(std.unique()) == 100  # σ depends on the state
 
 
 @pytest.mark.parametrize("mean", [-100, 100])
 @pytest.mark.parametrize("raw_std", [-100, -20, 100])
 def test_extreme_pre_activations_stay_finite_and_go_on_learning(mean, raw_std):
     _, _, agent = make()
-    policy, states = agent["policy"], torch.randn(20, 2)
-    for head, value in (policy.mean, mean), (policy.raw_std, raw_std):
+    for head, value in (agent.mean, mean), (agent.raw_std, raw_std):
         head.weight.data.zero_()
         head.bias.data.fill_(value)
-    distribution = policy(states)
-    samples = distribution.sample()
-    log_probs = distribution.log_prob(samples).sum(-1)
+    policy = agent.policy(torch.randn(20, 2))
+    samples = policy.sample()
+    log_probs = policy.log_prob(samples).sum(-1)
     (-log_probs.mean()).backward()
     assert samples.isfinite().all()
     assert log_probs.isfinite().all()
-    assert (distribution.stddev > 0).all()
-    assert all(p.grad.isfinite().all() for p in policy.parameters())
-    assert (policy.mean.bias.grad != 0).all()
+    assert policy.stddev.min().item() == pytest.approx(max(raw_std, 0) + 0.1)  # the floor
+    assert all(p.grad.isfinite().all() for p in policy_networks(agent).parameters())
+    assert (agent.mean.bias.grad != 0).all()
     if raw_std >= -20:
-        assert (policy.raw_std.bias.grad != 0).all()
+        assert (agent.raw_std.bias.grad != 0).all()
 
 
 def test_the_environment_gets_actions_within_its_bounds_though_samples_may_be_beyond():
     _, env, agent = make()
     obs = np.float32(np.random.default_rng(0).normal(size=(200, 2)))
-    samples, actions = agent["policy"].act(obs)
+    samples, actions = agent.act(obs)
     assert ((samples < harness.ACTIONS.low) | (samples > harness.ACTIONS.high)).any()
     np.testing.assert_array_equal(actions, samples.clip(harness.ACTIONS.low, harness.ACTIONS.high))
-    agent["policy"].mean.bias.data.fill_(30.0)
-    _, samples, *_ = rf.sample_episode(env, agent["policy"])  # the world asserts its bounds
-    assert samples.min() > 20
+    agent.mean.bias.data.fill_(30.0)
+    batch, _ = rf.rollout(env, agent, 1, 0.9, 0)  # the world asserts its bounds
+    assert batch["samples"].min() > 20
 
 
 def test_an_unbounded_box_works():
     _, env, agent = make("Unbounded")
-    agent["policy"].mean.bias.data.fill_(1e4)
-    samples, actions = agent["policy"].act(np.zeros((5, 2)))
+    agent.mean.bias.data.fill_(1e4)
+    samples, actions = agent.act(np.zeros((5, 2)))
     np.testing.assert_array_equal(samples, actions)
     assert actions.min() > 9000
-    rf.sample_episode(env, agent["policy"])
+    rf.rollout(env, agent, 1, 0.9, 0)
+
+
+def test_samples_are_as_the_distribution_says():
+    _, _, agent = make()
+    obs = np.float32([[1, 2]])
+    samples, _ = agent.act(np.repeat(obs, 20_000, axis=0))
+    policy = agent.policy(torch.as_tensor(obs[0]))
+    mean, std = policy.mean.detach().numpy(), policy.stddev.detach().numpy()
+    np.testing.assert_allclose(samples.mean(0), mean, atol=4 * std.max() / math.sqrt(20_000))
+    np.testing.assert_allclose(samples.std(0), std, rtol=0.02)
+    assert abs(np.corrcoef(samples.T)[0, 1]) < 0.03
 
 
 def test_deterministic_actions_are_those_of_the_mean():
     _, _, agent = make()
     obs = np.float32(np.random.default_rng(0).normal(size=(20, 2)))
-    samples, _ = agent["policy"].act(obs, deterministic=True)
-    np.testing.assert_array_equal(samples, agent["policy"](torch.as_tensor(obs)).mean.detach())
-    sampled, _ = agent["policy"].act(obs)
+    samples, actions = agent.act(obs, deterministic=True)
+    mean = agent.policy(torch.as_tensor(obs)).mean.detach().numpy()
+    np.testing.assert_allclose(samples, mean, rtol=1e-6)
+    np.testing.assert_array_equal(actions, samples.clip(harness.ACTIONS.low, harness.ACTIONS.high))
+    sampled, _ = agent.act(obs)
     assert len(np.unique(sampled - samples)) == samples.size  # each has its own noise
 
 
-# --- Episodes -------------------------------------------------------------------------------------
+# --- Rollout --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("world", "length", "ends"), [("ThreeSteps", 3, True), ("Forever", 8, False),
-                                  ("BothEnds", 3, True)]
-)
-def test_every_row_is_a_real_transition(world, length, ends):
+@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8), ("BothEnds", 3)])
+def test_every_row_is_of_a_real_step(world, length):
     """The world shows (episode, steps since its start): what each row must look like is known."""
-    _, env, agent = make(world)
-    for _ in range(3):
-        states, samples, rewards, last, terminated, row = rf.sample_episode(env, agent["policy"])
-        assert states[:, 1].tolist() == list(range(length))
-        assert (states[:, 0] == last[0]).all()
-        assert last[1] == length
-        assert rewards.tolist() == [1.0] * length
-        assert (samples.shape, terminated, row) == ((length, 2), ends, (length, length))
-        assert all(x.dtype == torch.float32 for x in (states, samples, rewards, last))
+    _, env, agent = make(world, "--baseline none")
+    batch, episodes = rf.rollout(env, agent, 3, 0.0, 100)
+    assert env.unwrapped.total == 3 * length
+    assert batch["obs"][:, 1].tolist() == list(range(length)) * 3
+    assert all(len(rows.unique()) == 1 for rows in batch["obs"][:, 0].split(length))
+    assert batch["returns"].tolist() == [1.0] * 3 * length  # γ = 0
+    assert batch["samples"].shape == (3 * length, 2)
+    assert all(x.dtype == torch.float32 for x in batch.values())
+    assert episodes == [{"env_step": 100 + length * i, "return": length, "length": length}
+                        for i in (1, 2, 3)]
 
 
 def test_each_row_keeps_its_own_sample_and_reward(watched):
     """The sample that is learned from, unclipped, is the one whose action earned the reward."""
     options = "--batch-episodes 50 --total-steps 50 --learning-rate 0 --baseline none"
-    agent, calls, folder = watched("Target", options, "policy_loss", "sample_episode")
+    agent, calls, folder = watched("Target", options, "policy_loss", "rollout")
     (((log_probs, advantages), _),) = calls["policy_loss"]
-    played = [result for _, result in calls["sample_episode"]]
-    states, samples = (torch.cat([x[i] for x in played]) for i in (0, 1))
-    torch.testing.assert_close(log_probs, log_density(agent["policy"], states, samples))
+    ((_, (batch, _)),) = calls["rollout"]
+    samples = batch["samples"]
+    torch.testing.assert_close(log_probs, log_density(agent, batch["obs"], samples))
     actions = samples.numpy().clip(harness.ACTIONS.low, harness.ACTIONS.high)
     assert (actions != samples.numpy()).any(1).sum() > 10
     rewards = -np.square(actions - harness.TARGET).sum(1)
@@ -304,28 +371,53 @@ def test_each_row_keeps_its_own_sample_and_reward(watched):
 
 
 @pytest.mark.parametrize("baseline", BASELINES)
-@pytest.mark.parametrize("world", ["ThreeSteps", "Forever", "BothEnds"])
-def test_only_a_time_limit_is_bootstrapped_and_only_with_values(world, baseline, watched):
-    options = f"--baseline {baseline} --total-steps 1 --learning-rate 0 --gamma 0.9"
-    agent, calls, _ = watched(world, options, "sample_episode", "discounted_returns")
-    assert len(calls["discounted_returns"]) == 4
-    for (_, played), (given, _) in zip(calls["sample_episode"], calls["discounted_returns"]):
-        _, _, rewards, last, *_ = played
-        assert given[0] is rewards
-        assert given[2] == 0.9
+@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8), ("BothEnds", 3)])
+def test_only_a_time_limit_is_bootstrapped_and_only_with_a_critic(world, length, baseline):
+    _, env, agent = make(world, f"--baseline {baseline}")
+    batch, _ = rf.rollout(env, agent, 4, 0.9, 0)
+    for obs, returns in zip(batch["obs"].split(length), batch["returns"].split(length)):
+        last = 0.0
         if world == "Forever" and baseline == "value":
-            assert given[1] == pytest.approx(agent["value"](last).item())
-            assert abs(given[1]) > 1e-4
-        else:
-            assert given[1] == 0
+            last = agent.critic(torch.tensor([obs[0, 0], length])).item()
+            assert abs(last) > 1e-3
+        expected = [sum(0.9**k for k in range(n)) + 0.9**n * last for n in range(length, 0, -1)]
+        torch.testing.assert_close(returns, torch.tensor(expected))
 
 
 def test_every_episode_starts_differently_also_those_of_other_seeds(watched):
     starts = []
     for seed in 1, 2:
-        _, calls, _ = watched("ThreeSteps", "--total-steps 30", "sample_episode", seed=seed)
-        starts += [states[0, 0].item() for _, (states, *_) in calls["sample_episode"]]
+        _, calls, _ = watched("ThreeSteps", "--total-steps 30", "rollout", seed=seed)
+        for _, (batch, _) in calls["rollout"]:
+            starts += batch["obs"][batch["obs"][:, 1] == 0, 0].tolist()
     assert len(set(starts)) == len(starts) == 2 * 12
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("where", "step"), [("reward", 5), ("observation", 5), ("reward", 6), ("observation", 6)]
+)
+def test_nan_and_infinity_end_a_rollout_and_name_the_step(where, step, number):
+    """An episode of this world ends at its step 6."""
+    _, env, agent = make("Spoilt")
+    rf.rollout(env, agent, 1, 0.9, 0)
+    culprit = env.unwrapped
+    culprit.fault, culprit.fault_at, culprit.number = where, step, number
+    with pytest.raises(SystemExit) as end:
+        rf.rollout(env, agent, 4, 0.9, 3)
+    assert end.value.code == f"error: environment 0 returned NaN or infinity at its step {step}"
+
+
+def test_an_episode_without_a_time_limit_is_cut_off_after_10_000_steps():
+    args, env, agent = make("Endless")
+    batch, episodes = rf.rollout(env, agent, 1, 0.9, 0)
+    assert episodes == [{"env_step": 10_000, "return": 10_000, "length": 10_000}]
+    last = agent.value(torch.tensor([batch["obs"][0, 0], 10_000.0])).item()
+    assert batch["returns"][-1].item() == pytest.approx(1 + 0.9 * last, rel=1e-5)
+    assert rf.evaluate(agent, [env], 1)["length_mean"] == 10_000
+
+
+# --- Training and evaluation ----------------------------------------------------------------------
 
 
 def test_every_episode_is_logged_once_with_its_raw_return_and_length(watched):
@@ -335,20 +427,72 @@ def test_every_episode_is_logged_once_with_its_raw_return_and_length(watched):
     assert episodes["env_step"].tolist() == list(range(3, 37, 3))
     assert (episodes[["return", "length"]] == 3).all(axis=None)
     assert metrics["env_step"].tolist() == [12, 24, 36]
-    np.testing.assert_allclose(metrics["learning_rate"], 1e-2 * np.array([1, 0.6, 0.2]))
-    assert read_json(folder / "summary.json")["env_steps"] == 36
+
+
+def test_the_learning_rate_falls_in_a_straight_line(watched, monkeypatch):
+    seen, optimise = [], rf.optimise
+
+    def spy(agent, optimizer, *rest):
+        (group,) = optimizer.param_groups
+        assert {id(p) for p in group["params"]} == {id(p) for p in agent.parameters()}
+        seen.append(group["lr"])
+        return optimise(agent, optimizer, *rest)
+
+    monkeypatch.setattr(rf, "optimise", spy)
+    _, _, folder = watched("ThreeSteps", "--total-steps 30 --learning-rate 0.02")
+    np.testing.assert_allclose(seen, 0.02 * np.array([1, 1 - 12 / 30, 1 - 24 / 30]))
+    np.testing.assert_allclose(pd.read_csv(folder / "metrics.csv")["learning_rate"], seen)
 
 
 def test_the_log_shows_the_policy_that_acted(watched):
     options = "--total-steps 1 --batch-episodes 2 --baseline value"
-    agent, calls, folder = watched("ThreeSteps", f"{options} --learning-rate 0", "sample_episode")
+    agent, calls, folder = watched("ThreeSteps", f"{options} --learning-rate 0", "rollout")
     metrics = pd.read_csv(folder / "metrics.csv").iloc[0]
-    distribution = agent["policy"](torch.cat([x[0] for _, x in calls["sample_episode"]]))
-    entropy = (distribution.stddev.log() + 0.5 * math.log(2 * math.pi * math.e)).sum(1).mean()
+    ((_, (batch, _)),) = calls["rollout"]
+    std = agent.policy(batch["obs"]).stddev
+    entropy = (std.log() + 0.5 * math.log(2 * math.pi * math.e)).sum(1).mean()
     assert metrics["entropy"] == pytest.approx(entropy.item(), rel=1e-4)
-    assert metrics["policy_std"] == pytest.approx(distribution.stddev.mean().item(), rel=1e-4)
-    squares = sum((p.grad**2).sum().item() for p in agent["policy"].parameters())
+    assert metrics["policy_std"] == pytest.approx(std.mean().item(), rel=1e-4)
+    squares = sum((p.grad**2).sum().item() for p in policy_networks(agent).parameters())
     assert metrics["grad_norm"] == pytest.approx(math.sqrt(squares), rel=1e-4)
+
+
+def test_the_first_evaluation_comes_before_training_the_others_evenly(watched):
+    options = "--total-steps 72 --num-evals 3 --eval-episodes 2 --batch-episodes 4"
+    _, _, folder = watched("ThreeSteps", options)
+    evals = pd.read_csv(folder / "evals.csv").drop(columns="seconds")
+    assert evals["env_step"].tolist() == [0, 24, 48, 72]
+    assert evals.columns[1:].tolist() == ["return_mean", "return_std", "length_mean", "episodes"]
+    assert (evals.iloc[:, 1:] == [3, 0, 3, 2]).all(axis=None)
+
+
+def test_an_evaluation_plays_the_means_whatever_the_noise():
+    """The same as one episode after the other by hand; each seed is another episode."""
+    args = rf.parse_args([])
+    envs = [rf.record_episodes(gym.make(args.env_id)) for _ in range(5)]
+    agent = rf.Agent(envs[0].observation_space, envs[0].action_space, args)
+    agent.mean.weight.data *= 30
+    results = []
+    for seed in 0, 0, 1:  # the second time, the environments have been used
+        torch.manual_seed(len(results))
+        results.append(rf.evaluate(agent, envs, seed))
+    assert results[0] == results[1] != results[2]
+    returns, lengths = [], []
+    env = gym.make(args.env_id)
+    for seed in rf.make_seeds(0, stream=1, count=5):
+        obs, _ = env.reset(seed=seed)
+        ended, total, length = False, 0, 0
+        while not ended:
+            mean = agent.policy(torch.as_tensor(obs, dtype=torch.float32)).mean
+            action = mean.detach().numpy().clip(env.action_space.low, env.action_space.high)
+            obs, reward, terminated, truncated, _ = env.step(action)
+            ended, total, length = terminated or truncated, total + reward, length + 1
+        returns.append(total)
+        lengths.append(length)
+    assert len(set(returns)) > 1
+    expected = {"return_mean": np.mean(returns), "return_std": np.std(returns),
+                "length_mean": np.mean(lengths), "episodes": 5}
+    assert results[0] == pytest.approx(expected)
 
 
 # --- Learning -------------------------------------------------------------------------------------
@@ -358,7 +502,9 @@ def test_the_log_shows_the_policy_that_acted(watched):
 def test_every_baseline_finds_a_good_action_in_an_asymmetric_box(baseline, watched):
     options = f"--batch-episodes 16 --total-steps 4096 --baseline {baseline}"
     _, _, folder = watched("Target", options)  # at first about -4
-    assert read_json(folder / "summary.json")["eval_return_mean"] > -0.05
+    evals = pd.read_csv(folder / "evals.csv")["return_mean"]
+    assert evals.iloc[0] < -1
+    assert evals.iloc[-1] > -0.05
     assert pd.read_csv(folder / "episodes.csv")["return"][-100:].mean() > -0.05
 
 
@@ -366,13 +512,13 @@ def test_the_value_network_learns_what_a_state_is_worth(watched):
     """Reward 1 for ever is worth 1 / (1 − γ), despite time limits; without bootstrap it is less."""
     options = "--baseline value --gamma 0.8 --total-steps 6400 --learning-rate 3e-3"
     agent, _, _ = watched("Forever", options)
-    states = torch.tensor([[0.0, t] for t in range(8)])
-    assert (agent["value"](states) - 5).abs().max() < 0.5
+    obs = torch.tensor([[0.0, t] for t in range(8)])
+    assert (agent.value(obs) - 5).abs().max() < 0.5
 
 
 def test_it_learns_to_balance_a_pole(tmp_path):
-    args = rf.parse_args(["--total-steps", "15000", "--eval-every", "0"])
-    rf.train(args, 1, tmp_path / "seed-1", tmp_path / "stop")
-    assert read_json(tmp_path / "seed-1/summary.json")["eval_return_mean"] > 30
+    args = rf.parse_args(["--total-steps", "15000", "--num-evals", "1"])
+    rf.train(args, 1, tmp_path / "seed-1")
+    assert pd.read_csv(tmp_path / "seed-1/evals.csv")["return_mean"].iloc[-1] > 30
     episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
     assert episodes[-20:].mean() > 2.5 * episodes[:20].mean()
