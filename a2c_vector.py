@@ -499,16 +499,17 @@ LABELS = {
     "learning_rate": "learning rate", "steps_per_second": "steps per second"}
 
 
-def draw(axis, folder, table, column, label, window=1):
+def draw(axis, folder, table, column, label):
     """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
 
-    Seeds have rows at different steps, so each keeps its last value until its next one.
+    Each seed is smoothed over a fiftieth of its rows. Seeds have rows at different steps, so each
+    keeps its last value until its next one.
     """
     files = folder.glob(f"**/{table}.csv")
     seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
     if seeds:
-        seeds = pd.concat([seed.rolling(window, min_periods=1).mean() for seed in seeds], axis=1)
-        seeds = seeds.sort_index().ffill().dropna()
+        smooth = [seed.rolling(1 + len(seed) // 50, min_periods=1).mean() for seed in seeds]
+        seeds = pd.concat(smooth, axis=1).sort_index().ffill().dropna()
         mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
         axis.plot(mean, label=label)
         axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
@@ -523,7 +524,7 @@ def plot(folder, env_id):
         grid = figure.add_gridspec(3 + rows, 4)
         top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
         draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
-        draw(top, folder, "episodes", "return", "training, last 20 episodes", window=20)
+        draw(top, folder, "episodes", "return", "training, sampled actions")
         for i, (column, label) in enumerate(LABELS.items()):
             axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
             draw(axis, folder, "metrics", column, label)
