@@ -81,7 +81,6 @@ import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, wait
-from datetime import datetime
 from pathlib import Path
 
 import gymnasium as gym
@@ -461,7 +460,7 @@ def check_finite(step, *arrays):
     for values in arrays:
         if not np.isfinite(values).all():
             culprit = np.argwhere(~np.isfinite(values))[0, 0]
-            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
+            sys.exit(f"\nerror: environment {culprit} returned NaN or infinity at its step {step}")
 
 
 # --- Evaluate and watch ---------------------------------------------------------------------------
@@ -474,7 +473,8 @@ def evaluate(agent, envs, seed):
     while obs:  # the last observation of each environment whose episode goes on
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
-            obs[env], _, terminated, truncated, _ = env.step(action)
+            obs[env], reward, terminated, truncated, _ = env.step(action)
+            check_finite(env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
     returns = np.array([env.return_queue[-1] for env in envs], dtype=float)
@@ -544,7 +544,8 @@ class Log:
         self.folder.mkdir(exist_ok=True)
         for name, rows in self.tables.items():
             if rows:
-                pd.DataFrame(rows).to_csv(self.folder / f"{name}.csv", index=False)
+                pd.DataFrame(rows).to_csv(self.folder / "table.tmp", index=False)
+                os.replace(self.folder / "table.tmp", self.folder / f"{name}.csv")  # all or nothing
         state = {"args": {**vars(self.args), "seed": [self.seed]}, "tables": self.tables,
                  "agent": self.agent.state_dict(), "optimizer": self.optimizer.state_dict(),
                  "rng": torch.get_rng_state()}
@@ -609,7 +610,8 @@ def plot(folder, env_id):
     seeds = len(list(folder.glob("**/evals.csv")))
     what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
     top.set_title(f"{env_id}, {what}")
-    top.legend()
+    if top.lines:  # else Ctrl-C came before the first evaluation
+        top.legend()
     figure.savefig(folder / "learning_curve.png")
 
 
@@ -632,9 +634,9 @@ def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
     parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
-    path = args.watch or args.resume
+    path = args.resume if args.watch is None else args.watch
     try:
-        if path:
+        if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
@@ -662,7 +664,7 @@ def check(parser, argv):
 
 def make_folder(args):
     """A new folder for this call, with args.json."""
-    name = f"{args.env_id}__{Path(__file__).stem}__{datetime.now():%Y%m%d_%H%M%S%f}"
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
     packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
     versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}

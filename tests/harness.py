@@ -30,7 +30,8 @@ def start(script, *arguments, cwd, python=(), own_group=False, **environment):
     """
     hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
     env = {name: value for name, value in os.environ.items() if name not in hidden}
-    env |= {"PYTHONPATH": str(TESTS), "OMP_NUM_THREADS": "1", **environment}
+    env |= {"PYTHONPATH": str(TESTS), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
+    env |= environment
     command = [sys.executable, *python, str(ROOT / script), *map(str, arguments)]
     return subprocess.Popen(
         command, cwd=cwd, env=env, text=True, encoding="utf-8", start_new_session=own_group,

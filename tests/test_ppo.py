@@ -14,7 +14,8 @@ from torch.distributions.transforms import TanhTransform
 
 import ppo_continuous as ppo
 
-SIZES = "--num-envs 4 --rollout-steps 25 --minibatch-size 33 --total-steps 100 --max-kl 1e9"
+SIZES = "--num-envs 4 --rollout-steps 25 --minibatch-size 33 --total-steps 100 --num-evals 1"
+SIZES += " --max-kl 1e9"
 
 
 class Uneven(harness.World):
@@ -29,10 +30,10 @@ class Uneven(harness.World):
         return float(action.sum())
 
 
-if "PPOUneven-v0" not in gym.registry:
-    gym.register("PPOUneven-v0", Uneven)
+if "UnevenBox-v0" not in gym.registry:
+    gym.register("UnevenBox-v0", Uneven)
     # does not show when its time is up
-    gym.register("PPOTimeless-v0", harness.Timeless, max_episode_steps=8, kwargs={"length": None})
+    gym.register("TimelessBox-v0", harness.Timeless, max_episode_steps=8, kwargs={"length": None})
 
 
 @pytest.fixture(autouse=True)
@@ -104,6 +105,7 @@ def random_batch(T=7, N=3):
 
 
 def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
+    """A_t = Σ_k (γλ)^k·δ_{t+k}, up to the end of the episode or of the rollout."""
     advantages = torch.zeros_like(rewards)
     T, N = rewards.shape
     for n in range(N):
@@ -307,8 +309,7 @@ def gradients_by_hand(agent, old, start, batch, rows, args):
         values, next_values = (
             start.critic(start.norm(batch[name])).squeeze(-1) for name in ("obs", "next_obs"))
         ends = batch["terminated"], batch["done"]
-        A = gae_by_hand(
-            batch["rewards"], values, next_values, *ends, args.gamma, args.gae_lambda)
+        A = gae_by_hand(batch["rewards"], values, next_values, *ends, args.gamma, args.gae_lambda)
         targets, A = (A + values).flatten()[rows], A.flatten()[rows]
         A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
     pi, pi_old = (
@@ -320,11 +321,11 @@ def gradients_by_hand(agent, old, start, batch, rows, args):
         loss -= min(ratio[i] * A[i], min(max(ratio[i], low), high) * A[i]) / len(rows)
         loss += args.value_coef * (value - targets[i]) ** 2 / 2 / len(rows)
     clipped = ((ratio < low) | (ratio > high)).double().mean().item()
-    return torch.autograd.grad(loss, list(agent.parameters())), clipped
+    return list(torch.autograd.grad(loss, list(agent.parameters()))), clipped
 
 
 @pytest.mark.parametrize("minibatches", [1, 3])
-@pytest.mark.parametrize("world", ["PPOUneven", "Forever"])
+@pytest.mark.parametrize("world", ["UnevenBox", "Forever"])
 def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatches):
     """Its first step, at ratio 1, and later ones, of a policy and a critic that have moved.
 
@@ -336,13 +337,16 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     batch = {name: x.double() if x.is_floating_point() else x for name, x in batch.items()}
     batch["rewards"] = torch.randn_like(batch["rewards"])
     old = copy.deepcopy(agent.double())
-    steps, _ = watch_update(agent, batch, args, lr=0.1)
+    steps, _ = watch_update(agent, batch, args, lr=0.05)
     assert len(steps) == 2 * minibatches
+    clipped = []
     for i, (rows, before, gradients) in enumerate(steps):
         start = steps[i - i % minibatches][1]
-        expected, clipped = gradients_by_hand(before, old, start, batch, rows, args)
-        assert clipped == 0 if i == 0 else 0.1 < clipped < 0.9
-        torch.testing.assert_close(gradients, list(expected), rtol=1e-6, atol=1e-9)
+        expected, share = gradients_by_hand(before, old, start, batch, rows, args)
+        torch.testing.assert_close(gradients, expected, rtol=1e-6, atol=1e-9)
+        clipped.append(share)
+    assert clipped[0] == 0
+    assert 0.1 < np.mean(clipped[1:]) < 0.9
 
 
 @pytest.mark.parametrize(
@@ -357,7 +361,7 @@ def test_each_epoch_uses_each_row_once_in_no_minibatch_smaller_than_asked(size, 
 
 
 def test_each_epoch_takes_advantages_from_the_critic_as_it_is_by_then(monkeypatch):
-    args, agent, batch, _ = play("PPOUneven", "--epochs 3")
+    args, agent, batch, _ = play("UnevenBox", "--epochs 3")
 
     @torch.no_grad()
     def compare(rewards, values, next_values, *_):
@@ -426,7 +430,7 @@ def test_max_kl_ends_the_update_before_the_policy_has_gone_too_far():
 @pytest.mark.parametrize("options", ["", "--epochs 20 --max-kl 0.01"], ids=["whole", "ended"])
 def test_diagnostics_are_means_over_all_minibatches_that_were_looked_at(options, monkeypatch):
     """Also over the first, and over the one whose KL ended the update."""
-    args, agent, batch, _ = play("PPOUneven", f"--clip-eps 0.1 {options}")
+    args, agent, batch, _ = play("UnevenBox", f"--clip-eps 0.1 {options}")
     seen = {
         "policy_loss": spy(monkeypatch, "policy_loss", ppo.policy_loss),
         "value_loss": spy(monkeypatch, "value_loss", ppo.value_loss),
@@ -447,7 +451,7 @@ def test_diagnostics_are_means_over_all_minibatches_that_were_looked_at(options,
 @torch.no_grad()
 def test_explained_variance_is_that_of_the_critic_before_the_update():
     """Of the whole rollout: 1 − var(R − V) / var(R)."""
-    args, agent, batch, _ = play("PPOUneven", "--gamma 0.9 --gae-lambda 0.8")
+    args, agent, batch, _ = play("UnevenBox", "--gamma 0.9 --gae-lambda 0.8")
     values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
     ends = batch["terminated"], batch["done"]
     R = values + gae_by_hand(batch["rewards"], values, next_values, *ends, 0.9, 0.8)
@@ -558,7 +562,7 @@ def test_no_environment_gets_an_action_out_of_bounds_though_samples_may_be(squas
 
 def test_the_stored_samples_are_those_of_the_actions_that_were_executed():
     """In this world the sum of an action is its reward."""
-    _, agent, batch, _ = play("PPOUneven")
+    _, agent, batch, _ = play("UnevenBox")
     torch.testing.assert_close(batch["rewards"], agent.bound(batch["samples"]).sum(-1))
 
 
@@ -581,12 +585,13 @@ def test_a_new_policy_acts_alike_in_all_states():
 # --- Rollout and seeds ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("world", ["ThreeSteps", "PPOUneven", "Forever"])
+@pytest.mark.parametrize("world", ["ThreeSteps", "UnevenBox", "Forever"])
 def test_every_row_is_a_real_transition(world):
     """The world shows (episode, steps since its start): what each row must look like is known."""
     _, _, batch, _ = play(world)
     obs, _, rewards, next_obs, terminated, done = batch.values()
-    length = {"ThreeSteps": 3, "PPOUneven": torch.where(obs[..., 0] > 0, 4, 3), "Forever": 8}[world]
+    uneven = torch.where(obs[..., 0] > 0, 4, 3)
+    length = {"ThreeSteps": 3, "UnevenBox": uneven, "Forever": 8}[world]
     assert (obs[0, :, 1] == 0).all()
     assert torch.equal(next_obs[..., 0], obs[..., 0])  # the same episode, also at its end
     assert torch.equal(next_obs[..., 1], obs[..., 1] + 1)
@@ -595,7 +600,7 @@ def test_every_row_is_a_real_transition(world):
     goes_on = ~done[:-1]
     assert torch.equal(obs[1:][goes_on], next_obs[:-1][goes_on])
     assert (obs[1:][~goes_on][:, 1] == 0).all()
-    assert (rewards == 1).all() or world == "PPOUneven"
+    assert (rewards == 1).all() or world == "UnevenBox"
     assert all(x.dtype in (torch.float32, torch.bool) for x in batch.values())
 
 
@@ -611,7 +616,7 @@ def test_every_finished_episode_is_logged_once_with_its_raw_return_and_length():
 
 
 def test_environments_that_end_at_different_steps_have_their_own_returns():
-    _, _, batch, episodes = play("PPOUneven")
+    _, _, batch, episodes = play("UnevenBox")
     expected = []
     for t, n in batch["done"].nonzero().tolist():
         length = int(batch["next_obs"][t, n, 1])
@@ -655,7 +660,7 @@ def test_environments_of_a_run_start_differently_and_seeds_are_all_different():
 # --- Training and evaluation ----------------------------------------------------------------------
 
 
-def train(folder, env="PPOUneven", options=""):
+def train(folder, env="UnevenBox", options=""):
     """A run: the parameters and statistics at its end."""
     ppo.train(parse(env, options), 1, folder)
     return torch.load(folder / "checkpoint.pt", weights_only=True)["agent"]
@@ -699,34 +704,38 @@ def test_the_learning_rate_falls_in_a_straight_line_for_all_parameters(tmp_path,
     assert metrics["learning_rate"].tolist() == pytest.approx(rates)
 
 
-def test_an_evaluation_plays_one_deterministic_episode_of_each_seed():
-    """Side by side, although some end sooner, as if each were played by itself."""
-    args, _, _, agent = make("PPOUneven")
-    envs = [ppo.record_episodes(gym.make(args.env_id)) for _ in range(6)]
+def evaluation_by_hand(agent, env, seed):
+    """Six episodes, one after the other, of the action that belongs to the mean."""
     returns, lengths = [], []
-    for seed in ppo.make_seeds(7, stream=1, count=6):
-        obs, _ = envs[0].reset(seed=seed)
+    for episode_seed in ppo.make_seeds(seed, stream=1, count=6):
+        obs, _ = env.reset(seed=episode_seed)
         ended, rewards = False, []
         while not ended:
-            mean, _ = agent.policy(torch.as_tensor(obs))
-            obs, reward, ended, *_ = envs[0].step(agent.bound(mean.detach()).numpy())
+            mean = agent.actor(agent.norm(torch.as_tensor(obs)))
+            obs, reward, ended, *_ = env.step(agent.bound(mean.detach()).numpy())
             rewards.append(reward)
         returns.append(sum(rewards))
         lengths.append(len(rewards))
     assert set(lengths) == {3, 4}
-    expected = {"return_mean": np.mean(returns), "return_std": np.std(returns),
-                "length_mean": np.mean(lengths), "episodes": 6}
-    assert expected["return_std"] > 0.01
-    for _ in range(2):
-        assert ppo.evaluate(agent, envs, seed=7) == pytest.approx(expected, rel=1e-5)
-        torch.manual_seed(1)
-    assert ppo.evaluate(agent, envs, seed=8) != pytest.approx(expected, rel=1e-3)
+    return {"return_mean": np.mean(returns), "return_std": np.std(returns),
+            "length_mean": np.mean(lengths), "episodes": 6}
+
+
+def test_an_evaluation_plays_one_deterministic_episode_of_each_seed():
+    """Side by side, although some end sooner, as if each were played by itself."""
+    args, _, _, agent = make("UnevenBox")
+    env, *envs = (ppo.record_episodes(gym.make(args.env_id)) for _ in range(7))
+    expected = {seed: evaluation_by_hand(agent, env, seed) for seed in (7, 8)}
+    assert abs(expected[7]["return_mean"] - expected[8]["return_mean"]) > 0.01
+    for seed in 7, 8, 7:  # with ever different noise
+        assert ppo.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
-    options = "--gamma 0.9 --total-steps 2560 --rollout-steps 16 --minibatch-size 64"
+    options = "--gamma 0.9 --learning-rate 1e-2 --rollout-steps 16 --minibatch-size 64"
     agent = make_agent()
-    agent.load_state_dict(train(tmp_path / "seed", "PPOTimeless", f"{options} --learning-rate 1e-2"))
+    state = train(tmp_path / "seed", "TimelessBox", f"{options} --total-steps 1920")
+    agent.load_state_dict(state)
     obs = torch.tensor([[-0.8, 0.0], [0.0, 0.0], [0.8, 0.0]])
     raw_values = agent.value(obs) * agent.reward_norm.var.sqrt()
     assert (raw_values - 10).abs().max() < 0.5, raw_values  # blind to the limit: at most 5.7
