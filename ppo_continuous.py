@@ -14,7 +14,7 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-It learns to balance a double pendulum: 9,320 of 9,350 points after 150,000 steps, 20 seconds.
+It learns to balance a double pendulum: 9,323 of 9,350 points after 150,000 steps, 20 seconds.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 

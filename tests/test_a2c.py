@@ -406,7 +406,7 @@ def test_nan_and_infinity_end_a_rollout_and_name_environment_and_step(fault, ste
     envs.envs[2].unwrapped.fault, envs.envs[2].unwrapped.fault_at = fault, step
     with pytest.raises(SystemExit) as end:
         a2c.rollout(envs, agent, obs, 20, 4 * 4)
-    message = f"error: environment 2 returned NaN or infinity at its step {step}"
+    message = f"\nerror: environment 2 returned NaN or infinity at its step {step}"
     assert end.value.code == message
 
 

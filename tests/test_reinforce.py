@@ -395,7 +395,7 @@ def test_nan_and_infinity_end_a_rollout_and_name_the_step(fault, step):
     env.unwrapped.fault, env.unwrapped.fault_at = fault, step
     with pytest.raises(SystemExit) as end:
         rf.rollout(env, agent, 4, 0.9, 3)
-    assert end.value.code == f"error: environment 0 returned NaN or infinity at its step {step}"
+    assert end.value.code == f"\nerror: environment 0 returned NaN or infinity at its step {step}"
 
 
 def test_an_episode_without_a_time_limit_is_cut_off_after_10_000_steps():

@@ -313,7 +313,7 @@ def stopped(tmp_path_factory):
         while not list(places[name].glob(file)):
             assert process.poll() is None, process.communicate()[1]
             time.sleep(0.01)
-        time.sleep(0.5 if name in STOPS else 0)
+        time.sleep(1 if name in STOPS else 0)
         os.killpg(process.pid, signal.SIGINT if name in STOPS else signal.SIGKILL)
         process.out, process.err = process.communicate(timeout=100)  # of 200 s of evaluation
         return process
