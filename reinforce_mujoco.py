@@ -443,6 +443,7 @@ def number(kind, low, high=1e12):
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
+    parse.__name__ = kind.__name__  # argparse names it where `text` is no number
     return parse
 
 
