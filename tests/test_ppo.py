@@ -731,6 +731,17 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed():
         assert ppo.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
 
 
+@pytest.mark.parametrize("what", ["reward", "observe"])
+def test_nan_in_an_evaluation_ends_the_run(what):
+    args, _, _, agent = make()
+    envs = [ppo.record_episodes(gym.make(args.env_id)) for _ in range(3)]
+    world = envs[1].unwrapped
+    healthy = getattr(world, what)
+    setattr(world, what, lambda *x: healthy(*x) * (math.nan if world.steps == 2 else 1))
+    with pytest.raises(SystemExit, match="NaN or infinity at its step 2"):
+        ppo.evaluate(agent, envs, seed=1)
+
+
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
     options = "--gamma 0.9 --learning-rate 1e-2 --rollout-steps 16 --minibatch-size 64"
     agent = make_agent()
