@@ -52,12 +52,11 @@ but with less noise.
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
 episode has to be played to its end (3, 4); N environments at a time, before long each at another
 point of its episode, so that a short rollout is varied, and one call of the actor serves all (1).
-Left out: the asynchronous workers of [1], each of which updates the weights on its own (here, with
---vectorization async too, all wait for each other); layers that both networks share; images;
-continuous actions.
+Left out: workers that update the weights without waiting for each other ([1]); layers that both
+networks share; images; continuous actions.
 
-Symbols: γ discount; c_H weight; H = −E[log π] entropy, large if π is undecided: its weight keeps π
-    from settling on one action too early.
+Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
+    settling on one action too early.
 Shapes: T steps of N environments; B rows of a batch; D numbers in s; K actions.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
@@ -76,6 +75,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, wait
+from importlib.metadata import distributions
 from pathlib import Path
 
 import gymnasium as gym
@@ -84,7 +84,6 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -94,8 +93,9 @@ from tqdm import tqdm
 
 def parse_args(argv=None):
     """Every knob: its name, its default, its meaning, its symbol."""
-    style = argparse.ArgumentDefaultsHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0], formatter_class=style)
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
@@ -151,7 +151,6 @@ class RunningNorm(nn.Module):
         mean ← (1−w)·mean + w·mean_new
         var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         """
-        rows = rows.float()  # observations may be integers
         self.count += len(rows)
         weight = len(rows) / self.count
         gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
@@ -201,8 +200,9 @@ class Agent(nn.Module):
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
-        samples = (policy.logits.argmax(-1) if deterministic else policy.sample()).cpu().numpy()
-        return samples, samples + self.first_action
+        samples = policy.mode if deterministic else policy.sample()
+        actions = samples + self.first_action
+        return samples.cpu().numpy(), actions.cpu().numpy()
 
 
 # --- Rollout --------------------------------------------------------------------------------------
@@ -234,11 +234,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
         steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
         obs = new_obs
-    batch = {}
-    for name in steps[0]:
-        column = torch.as_tensor(np.stack([step[name] for step in steps]))
-        column = column.float() if column.is_floating_point() else column
-        batch[name] = column.to(agent.norm.mean.device)
+    batch = {name: np.array([step[name] for step in steps]) for name in steps[0]}
+    for name, column in batch.items():
+        batch[name] = torch.as_tensor(column, dtype=torch.float32, device=agent.norm.mean.device)
     return batch, obs, episodes
 
 
@@ -252,12 +250,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     After the last step of the rollout A_{t+1} is 0, and V(s_{t+1}) stands for all that follows.
     """
-    deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
+    deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
     deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
     advantages = np.empty_like(deltas)
     advantage = np.zeros_like(deltas[0])
     for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + gamma * gae_lambda * np.where(done[t], 0, advantage)  # step 4
+        advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage  # step 4
         advantages[t] = advantage
     return torch.as_tensor(advantages, device=rewards.device)
 
@@ -279,60 +277,59 @@ def value_loss(values, targets):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Steps 2 to 5. Returns the diagnostics."""
-    values = agent.value(batch["obs"])
+    """Steps 3 to 5. Returns the diagnostics."""
+    obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
     with torch.no_grad():  # advantages and targets are data: no gradient goes through them
-        next_values = agent.value(batch["next_obs"])
-        advantages = compute_gae(args.reward_scale * batch["rewards"], values, next_values,
-                                 batch["terminated"], batch["done"], args.gamma, args.gae_lambda)
-        targets = advantages + values
-        A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
-    policy = agent.policy(batch["obs"])
+        values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
+        advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
+                                 batch["done"], args.gamma, args.gae_lambda).flatten()
+        targets = advantages + values.flatten()
+    # A = R − V is what V did not predict of R.
+    explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
+    policy = agent.policy(obs)
+    A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)  # standardised
+    loss_pi = policy_loss(policy.log_prob(samples), A)
+    loss_v = value_loss(agent.value(obs), targets)
     entropy = policy.entropy().mean()
-    loss_pi = policy_loss(policy.log_prob(batch["samples"]), A)
-    loss_v = value_loss(values, targets)
     optimizer.zero_grad()
-    (loss_pi - args.entropy_coef * entropy + loss_v).backward()  # the networks share no weights
-    grad_norm = nn.utils.clip_grad_norm_(
+    (loss_pi + loss_v - args.entropy_coef * entropy).backward()  # the networks share no weights
+    gradient_norm = nn.utils.clip_grad_norm_(
         agent.actor.parameters(), args.max_grad_norm, error_if_nonfinite=True)
-    critic_norm = nn.utils.clip_grad_norm_(
+    critic_gradient_norm = nn.utils.clip_grad_norm_(
         agent.critic.parameters(), args.max_grad_norm, error_if_nonfinite=True)
     optimizer.step()  # step 5
     diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-                   "explained_variance": 1 - advantages.var() / targets.var(),
-                   "grad_norm": grad_norm, "critic_grad_norm": critic_norm}
+                   "explained_variance": explained_variance, "gradient_norm": gradient_norm,
+                   "critic_gradient_norm": critic_gradient_norm}
     return {name: x.item() for name, x in diagnostics.items()}
 
 
 # --- Training -------------------------------------------------------------------------------------
 
 
-def train(args, seed, folder, position=0):
-    """Train one seed into `folder`; `position` is the line of its progress bar."""
+def train(args, seed):
+    """Train one seed. Yields what there is to write down, at the start and after each update."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
     # gradients move a weight as far as large ones do; 1e-5 keeps them small.
-    groups = [{"params": agent.actor.parameters(), "lr": args.learning_rate},
-              {"params": agent.critic.parameters(), "lr": args.critic_learning_rate}]
+    groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
     optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
-    rates = [group["lr"] for group in optimizer.param_groups]
-    log = Log(args, seed, folder, agent, optimizer, position)
-    if args.resume:
-        resume(log)
-    log.save()  # evaluates, too
-    obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
-    batch_size = args.num_envs * args.rollout_steps
-    num_updates = math.ceil(args.total_steps / batch_size)
-    for update in range(log.env_step // batch_size, num_updates):
-        for group, rate in zip(optimizer.param_groups, rates):
-            group["lr"] = rate * (1 - update / num_updates)  # step 6 of the update before
-        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, log.env_step)  # step 1
-        diagnostics = optimise(agent, optimizer, batch, args)  # steps 2 to 5
+    env_step = resume(args.resume, agent, optimizer) if args.resume else 0
+    obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
+    yield env_step, agent, optimizer, [], {}
+    while env_step < args.total_steps:
+        share = 1 - env_step / args.total_steps
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the update before
+        optimizer.param_groups[1]["lr"] = args.critic_learning_rate * share
+        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
+        batch["rewards"] *= args.reward_scale  # step 2
+        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
-        log.update(batch_size, episodes, diagnostics)
+        env_step += batch["rewards"].numel()
+        yield env_step, agent, optimizer, episodes, diagnostics
     envs.close()
 
 
@@ -343,27 +340,26 @@ def train(args, seed, folder, position=0):
 # --- Environments ---------------------------------------------------------------------------------
 
 
+def record_episodes(env):
+    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
+    return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
+
+
 class RandomPhysics(gym.Wrapper):
     """New gravity in each episode of LunarLander, new wind and turbulence in half of them ([4]).
 
     None of them is in the observation: π has to land without knowing them, as a real lander would.
-    They are drawn by a generator of their own, and before the reset, which already uses them.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             self.random = np.random.default_rng([seed, 1])  # [seed] is the environment's own
-        lander = self.unwrapped
+        lander = self.unwrapped  # `reset` already needs its new physics
         lander.enable_wind = bool(self.random.integers(2))
         lander.gravity = self.random.uniform(-11.99, -7.0)
         lander.wind_power = self.random.uniform(0.0, 20.0)
         lander.turbulence_power = self.random.uniform(0.0, 2.0)
         return self.env.reset(seed=seed, options=options)
-
-
-def record_episodes(env):
-    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
-    return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
 def make_envs(args, *wrappers):
@@ -386,7 +382,7 @@ def check_finite(step, *arrays):
     for values in arrays:
         if not np.isfinite(values).all():
             culprit = np.argwhere(~np.isfinite(values))[0, 0]
-            sys.exit(f"\nerror: environment {culprit} returned NaN or infinity at its step {step}")
+            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
 # --- Evaluate and watch ---------------------------------------------------------------------------
@@ -430,114 +426,106 @@ def watch(args):
 # --- Files ----------------------------------------------------------------------------------------
 
 
-class Log:
-    """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
-
-    def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.folder = args, seed, folder
-        self.agent, self.optimizer = agent, optimizer
-        self.tables = {"evals": [], "episodes": [], "metrics": []}
-        self.env_step, self.seconds = 0, 0.0
-        self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        position=position, leave=False,
-                        mininterval=0.1 if sys.stderr.isatty() else 30)
-
-    def update(self, steps, episodes, diagnostics):
-        """Keep the rows of an update that took `steps` environment steps."""
-        self.env_step += steps
-        self.seconds += time.perf_counter() - self.clock
-        self.tables["episodes"] += episodes
-        self.tables["metrics"].append({
-            "env_step": self.env_step, **diagnostics,
-            "learning_rate": self.optimizer.param_groups[0]["lr"],
-            "steps_per_second": self.env_step / self.seconds})
-        self.clock = time.perf_counter()
-        pause = self.args.total_steps / self.args.num_evals
-        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
-        if self.env_step >= due:
-            self.save()
-        evaluation = self.tables["evals"][-1]["return_mean"]
-        returns = [row["return"] for row in self.tables["episodes"][-20:]]
-        training = f"{np.mean(returns):.0f}" if returns else "not known yet"
-        self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
-
-    def save(self):
-        """Evaluate, then write all files."""
-        self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
-                                     **evaluate(self.agent, self.envs, self.seed)})
-        self.folder.mkdir(exist_ok=True)
-        for name, rows in self.tables.items():
-            if rows:
-                pd.DataFrame(rows).to_csv(self.folder / "table.tmp", index=False)
-                os.replace(self.folder / "table.tmp", self.folder / f"{name}.csv")  # all or nothing
-        state = {"args": {**vars(self.args), "seed": [self.seed]}, "tables": self.tables,
-                 "agent": self.agent.state_dict(), "optimizer": self.optimizer.state_dict(),
-                 "rng": torch.get_rng_state()}
-        torch.save(state, self.folder / "checkpoint.tmp")
-        os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
-        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+def make_folder(args):
+    """A new folder for this call, with args.json."""
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        argparse.ArgumentParser(usage=argparse.SUPPRESS).error(f"argument --out-dir: {error}")
+    versions = {package.name: package.version for package in distributions()}
+    record = {**vars(args), "command": sys.argv, "versions": versions}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
 
 
-def resume(log):
-    """Bring back agent, optimizer and tables. Episodes that were going on are lost."""
-    checkpoint = torch.load(log.args.resume, log.args.device, weights_only=True)
-    log.agent.load_state_dict(checkpoint["agent"])
-    log.optimizer.load_state_dict(checkpoint["optimizer"])
+def run(args, seed, folder, position=0):
+    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    seconds, next_eval = 0.0, 0
+    start = time.perf_counter()
+    if args.resume:
+        tables = torch.load(args.resume, "cpu", weights_only=True)["tables"]
+        seconds = tables["evals"].pop()["seconds"]  # this row is made again
+    with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
+              position=position, leave=False, mininterval=1) as bar:
+        for env_step, agent, optimizer, episodes, diagnostics in train(args, seed):
+            if diagnostics:  # an update was made
+                seconds += time.perf_counter() - start
+                tables["episodes"] += episodes
+                speed = {"steps_per_second": env_step / seconds}
+                tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
+            if env_step >= next_eval:
+                evaluation = evaluate(agent, envs, seed)
+                tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
+                save(args, seed, folder, tables, agent, optimizer)
+                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+            returns = [row["return"] for row in tables["episodes"][-20:]]
+            training = f"{np.mean(returns):.0f}" if returns else "not known yet"
+            bar.set_postfix_str(
+                f"evaluation {evaluation['return_mean']:.0f}, training {training}", refresh=False)
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            start = time.perf_counter()  # evaluating and saving are not training
+
+
+def save(args, seed, folder, tables, agent, optimizer):
+    """Write the tables and the checkpoint; each file is replaced in one go."""
+    folder.mkdir(exist_ok=True)
+    for name, rows in tables.items():
+        if rows:
+            pd.DataFrame(rows).to_csv(folder / "table.tmp", index=False)
+            os.replace(folder / "table.tmp", folder / f"{name}.csv")
+    state = {"args": {**vars(args), "seed": [seed]}, "tables": tables, "rng": torch.get_rng_state(),
+             "agent": agent.state_dict(), "optimizer": optimizer.state_dict()}
+    torch.save(state, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+
+
+def resume(path, agent, optimizer):
+    """Bring back what a checkpoint holds; its environment steps. Unfinished episodes are lost."""
+    checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
+    agent.load_state_dict(checkpoint["agent"])
+    optimizer.load_state_dict(checkpoint["optimizer"])
     torch.set_rng_state(checkpoint["rng"].cpu())
-    log.tables = checkpoint["tables"]
-    last = log.tables["evals"].pop()  # `save` makes this row again
-    log.env_step, log.seconds = last["env_step"], last["seconds"]
+    return checkpoint["tables"]["evals"][-1]["env_step"]
 
 
 # --- Plot -----------------------------------------------------------------------------------------
 
-LABELS = {
-    "policy_loss": "policy loss", "value_loss": "value loss (scaled rewards)",
-    "entropy": "entropy (nats)", "explained_variance": "explained variance",
-    "grad_norm": "gradient norm, actor", "critic_grad_norm": "gradient norm, critic",
-    "learning_rate": "learning rate", "steps_per_second": "steps per second"}
-
-
-def draw(axis, folder, table, column, label):
-    """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
-
-    Each seed is smoothed over a fiftieth of its rows. Seeds have rows at different steps, so each
-    keeps its last value until its next one.
-    """
-    files = folder.glob(f"**/{table}.csv")
-    seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
-    if seeds:
-        smooth = [seed.rolling(1 + len(seed) // 50, min_periods=1).mean() for seed in seeds]
-        seeds = pd.concat(smooth, axis=1).sort_index().ffill().dropna()
-        mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
-        axis.plot(mean, label=label)
-        axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k for 100000
-
 
 def plot(folder, env_id):
-    """learning_curve.png: returns on top, the columns of metrics.csv below."""
-    rows = math.ceil(len(LABELS) / 4)
-    with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
-        figure = Figure(figsize=(12, 6 + 2 * rows), layout="constrained")
-        grid = figure.add_gridspec(3 + rows, 4)
-        top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
-        draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
-        draw(top, folder, "episodes", "return", "training, sampled actions")
-        for i, (column, label) in enumerate(LABELS.items()):
-            axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
-            draw(axis, folder, "metrics", column, label)
+    """learning_curve.png: returns on top, below them the columns of metrics.csv.
+
+    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    """
+    files = folder.glob("**/*.csv")
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
+    total = data["env_step"].max()
+    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data = data.interpolate("index").stack(future_stack=True).reset_index()
+    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind")
+    figure = Figure(figsize=(12, 12), layout="constrained")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
+    for panel, column in enumerate(diagnostics, start=13):
+        axis = figure.add_subplot(6, 4, panel)
+        sns.lineplot(**curve, y=column, ax=axis)
+        axis.set(xlabel="", ylabel=column.replace("_", " "))
+    top = figure.add_subplot(6, 4, (1, 12))
+    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    if "return" in data:  # an episode has ended
+        sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-    seeds = len(list(folder.glob("**/evals.csv")))
-    what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
-    top.set_title(f"{env_id}, {what}")
-    if top.lines:  # else Ctrl-C came before the first evaluation
         top.legend()
-    figure.savefig(folder / "learning_curve.png")
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    top.set(xlabel="environment steps", ylabel="return", title=title)
+    figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 
 
 # --- Command line ---------------------------------------------------------------------------------
@@ -558,78 +546,48 @@ def number(kind, low, high=1e12):
 
 def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
-    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
-    path = args.resume if args.watch is None else args.watch
+    path = args.watch or args.resume
+    expected = Exception if path else (gym.error.Error, ImportError)
     try:
-        if path is not None:
+        if path:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-            env = gym.make(args.env_id)
+        env = gym.make(args.env_id)
+        spaces = observations, actions = env.observation_space, env.action_space
+        flat = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1
+        if not flat or not isinstance(actions, gym.spaces.Discrete):
+            raise gym.error.Error(
+                "takes flat Box observations (gymnasium.wrappers.FlattenObservation) and Discrete "
+                f"actions (ppo_continuous.py: bounded Box, reinforce_mujoco.py: Box), not {spaces}")
+        if args.randomize and not hasattr(env.unwrapped, "wind_power"):
+            raise gym.error.Error("--randomize takes LunarLander")
+        if path:
             agent = Agent(env.observation_space, env.action_space, args)
             agent.load_state_dict(checkpoint["agent"])
-    except Exception as error:  # missing, cut short, of another script, does not fit other flags
-        parser.error(f"argument --watch or --resume: {path}: {error!r}".splitlines()[0])
-    try:
-        env = gym.make(args.env_id)
-    except (gym.error.Error, ImportError) as error:  # which names the nearest environment
-        parser.error(f"argument --env-id: {error}".splitlines()[0])
-    observations, actions = env.observation_space, env.action_space
-    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
-        hint = "gymnasium.wrappers.FlattenObservation may make one"
-        parser.error(f"argument --env-id: takes flat Box observations, not {observations} ({hint})")
-    if not isinstance(actions, gym.spaces.Discrete):
-        hint = "ppo_continuous.py takes a flat, bounded Box, reinforce_mujoco.py any flat Box"
-        parser.error(f"argument --env-id: takes Discrete actions, not {actions} ({hint})")
-    if args.randomize and not hasattr(env.unwrapped, "wind_power"):
-        parser.error(f"argument --randomize: takes LunarLander, not {args.env_id}")
+    except expected as error:
+        name = "--watch or --resume" if path else "--env-id"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args
 
 
-def make_folder(args):
-    """A new folder for this call, with args.json."""
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
-    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
-    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        print(f"error: argument --out-dir: {error}", file=sys.stderr)
-        sys.exit(2)
-    record = {**vars(args), "command": sys.argv, "versions": versions}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
-    return folder
-
-
-def train_seeds(args, folder):
+def train_seeds(args, folders):
     """One seed here, several side by side in processes of their own."""
-    folders = [folder / f"seed-{seed}" for seed in args.seed]
     if len(folders) == 1:
-        return train(args, args.seed[0], folders[0])
+        return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
+    jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
         if job.exception():
             print(f"seed {seed} failed:", file=sys.stderr)
             raise job.exception()
-
-
-def report(folder, args):
-    """What came out of each seed, where it is, and how to go on with it."""
-    for file in sorted(folder.glob("**/evals.csv")):
-        last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if "resume" in args and last["env_step"] < args.total_steps:
-            print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 def main():
@@ -640,18 +598,22 @@ def main():
     if args.watch:
         return watch(args)
     folder = Path(args.resume).parent if args.resume else make_folder(args)
+    folders = [folder] if args.resume else [folder / f"seed-{seed}" for seed in args.seed]
     try:
-        if args.resume:
-            train(args, args.seed[0], folder)
-        else:
-            train_seeds(args, folder)
+        train_seeds(args, folders)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()
     finally:
-        print(f"drawing {folder / 'learning_curve.png'}", flush=True)
-        plot(folder, args.env_id)
-        report(folder, args)
+        if any(folder.glob("**/metrics.csv")):
+            print(f"drawing {folder / 'learning_curve.png'}", flush=True)
+            plot(folder, args.env_id)
+        for file in sorted(folder.glob("**/evals.csv")):
+            last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
+            print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
+                  f"{last['seconds'] / 60:.1f} minutes: {path}")
+            if last["env_step"] < args.total_steps:
+                print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 if __name__ == "__main__":

@@ -26,15 +26,15 @@ discounted sum of the rewards that follow s_t. Both see s normalised, with a run
   1. Play a rollout: T steps in each of N environments with π, called π_old from now on.
   2. Divide the rewards by the running std of their discounted sums, so that V predicts numbers of
      size 1. From here on r is the scaled reward.
-  For several epochs, each a pass over all T·N steps of the rollout:
-    3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
-    4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-       R_t = A_t + V(s_t)                                                target of the critic
-    For each minibatch of M steps (shuffled, each step once), with ρ = π(u|s) / π_old(u|s):
-      5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 7.
-      6. With A standardised over the minibatch (mean 0, std 1), a step of Adam on
-         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + c_V·½·mean((V(s) − R)²) − c_H·H,
-         its gradient shortened to max_grad_norm if it is longer.
+  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
+     R_t = A_t + V(s_t)                                                target of the critic
+  Several epochs: shuffle the T·N steps, split them into minibatches of M. For each of these, with
+  ρ = π(u|s) / π_old(u|s):
+    5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 7.
+    6. With A standardised over the minibatch (mean 0, std 1), a step of Adam on
+       −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
+       its gradient shortened to max_grad_norm if it is longer.
   7. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
@@ -58,10 +58,10 @@ E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du. The farther π is fro
 estimate, and the states are still those of π_old. So 5 and the clip in 6 keep π close to π_old.
 
 = A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
-minibatches, the KL limit (5), ρ and its clip (6). Unlike [1], 3 and 4 are done anew in each epoch,
-with the critic as it is by then ([6]). Left out: recurrent networks, images, discrete actions.
+minibatches, the KL limit (5), ρ and its clip (6).
+Left out: recurrent networks, images, discrete actions.
 
-Symbols: γ discount; ε clip range; c_V, c_H weights; H = −E[log π] entropy, large if π is undecided;
+Symbols: γ discount; ε clip range; H = −E[log π] entropy, large if π is undecided; c_H its weight;
     μ(s), σ mean and std of π; KL(π_old ‖ π) = E_old[log π_old − log π], 0 if both are the same.
 Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
@@ -69,7 +69,6 @@ References: [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Schulman 2020, Approximating KL Divergence.
     [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances.
-    [6] Andrychowicz et al. 2021, What Matters for On-Policy Deep Actor-Critic Methods?
 """
 
 import argparse
@@ -81,6 +80,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, wait
+from importlib.metadata import distributions
 from pathlib import Path
 
 import gymnasium as gym
@@ -89,7 +89,6 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -99,8 +98,9 @@ from tqdm import tqdm
 
 def parse_args(argv=None):
     """Every knob: its name, its default, its meaning, its symbol."""
-    style = argparse.ArgumentDefaultsHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0], formatter_class=style)
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
@@ -117,19 +117,17 @@ def parse_args(argv=None):
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=128, help="steps of each environment, T")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 1), default=512, help="at least this many steps, M")
+    add("--minibatch-size", type=number(int, 1), default=512, help="steps of a minibatch, M")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0: bias, 1: variance, λ")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
-    add("--value-coef", type=number(float, 0), default=1.0, help="weight of the value loss, c_V")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
     add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
-    add("--squash", choices=("tanh", "clip"), default="tanh", help="how actions are bounded, g")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -161,7 +159,6 @@ class RunningNorm(nn.Module):
         mean ← (1−w)·mean + w·mean_new
         var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         """
-        rows = rows.float()  # observations may be integers
         self.count += len(rows)
         weight = len(rows) / self.count
         gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
@@ -198,46 +195,33 @@ class Agent(nn.Module):
         self.actor = mlp(inputs, args.hidden_size, outputs, nn.Tanh, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, nn.Tanh, output_gain=1.0)
         self.reward_norm = RunningNorm(())
-        self.squash, self.std_speed = args.squash, args.std_speed
+        self.std_speed = args.std_speed
         self.raw_log_std = nn.Parameter(torch.full((outputs,), args.log_std / args.std_speed))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
     def policy(self, obs):
-        """Observations (…, D) -> μ(s) (…, K) and log σ (K,)."""
-        return self.actor(self.norm(obs)), (self.std_speed * self.raw_log_std).clamp(-10, 2)
+        """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
+        std = (self.std_speed * self.raw_log_std).clamp(-10, 2).exp()
+        return torch.distributions.Normal(self.actor(self.norm(obs)), std, validate_args=False)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
         return self.critic(self.norm(obs)).squeeze(-1)
 
-    def bound(self, samples):
-        """a = g(u): u (…, K) to [−1, 1] by tanh or by clipping, then stretched over [low, high].
-
-        PPO may take g for a part of the environment, as it needs only the density of u. (With tanh,
-        that of a has the factor 1/|g'(u)| besides: the same for π and π_old, it cancels in ρ.)
-        """
-        unit = torch.tanh(samples) if self.squash == "tanh" else samples.clamp(-1, 1)
-        return torch.lerp(self.low, self.high, (unit + 1) / 2)
-
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a (N, K)."""
+        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a = g(u) (N, K).
+
+        g is tanh, to (−1, 1), stretched over [low, high]. PPO may take it for a part of the
+        environment, as it needs only the density of u. (That of a has the factor 1/|g'(u)| besides:
+        the same for π and π_old, it cancels in ρ.)
+        """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
-        mean, log_std = self.policy(obs)
-        samples = mean if deterministic else mean + log_std.exp() * torch.randn_like(mean)
-        return samples.cpu().numpy(), self.bound(samples).cpu().numpy()
-
-
-def gaussian_log_prob(samples, mean, log_std):
-    """log N(u; μ, σ²) = −Σ_k [((u_k − μ_k)/σ_k)²/2 + log σ_k + log(2π)/2]; u (…, K) -> (…,)."""
-    squares = ((samples - mean) / log_std.exp()) ** 2
-    return -squares.sum(-1) / 2 - (log_std + math.log(2 * math.pi) / 2).sum()
-
-
-def gaussian_entropy(log_std):
-    """H = −E[log N(u; μ, σ²)] = Σ_k [log σ_k + log(2πe)/2], whatever μ is."""
-    return (log_std + math.log(2 * math.pi * math.e) / 2).sum()
+        policy = self.policy(obs)
+        samples = policy.mode if deterministic else policy.sample()
+        actions = torch.lerp(self.low, self.high, (torch.tanh(samples) + 1) / 2)
+        return samples.cpu().numpy(), actions.cpu().numpy()
 
 
 # --- Rollout --------------------------------------------------------------------------------------
@@ -269,11 +253,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
         steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
         obs = new_obs
-    batch = {}
-    for name in steps[0]:
-        column = torch.as_tensor(np.stack([step[name] for step in steps]))
-        column = column.float() if column.is_floating_point() else column
-        batch[name] = column.to(agent.norm.mean.device)
+    batch = {name: np.array([step[name] for step in steps]) for name in steps[0]}
+    for name, column in batch.items():
+        batch[name] = torch.as_tensor(column, dtype=torch.float32, device=agent.norm.mean.device)
     return batch, obs, episodes
 
 
@@ -293,7 +275,7 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     past_returns = np.empty_like(rewards_by_step)
     for t in range(len(rewards_by_step)):
         past_returns[t] = rewards_by_step[t] + gamma * past_return
-        past_return = np.where(done[t], 0, past_returns[t])
+        past_return = (1 - done[t]) * past_returns[t]
     reward_norm.update(torch.as_tensor(past_returns.flatten(), device=rewards.device))
     return rewards / reward_norm.var.sqrt(), past_return
 
@@ -305,12 +287,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
     After the last step of the rollout A_{t+1} is 0, and V(s_{t+1}) stands for all that follows.
     """
-    deltas = rewards + gamma * next_values.masked_fill(terminated, 0.0) - values  # step 3
+    deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
     deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
     advantages = np.empty_like(deltas)
     advantage = np.zeros_like(deltas[0])
     for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + gamma * gae_lambda * np.where(done[t], 0, advantage)  # step 4
+        advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage  # step 4
         advantages[t] = advantage
     return torch.as_tensor(advantages, device=rewards.device)
 
@@ -347,84 +329,70 @@ def approximate_kl(log_ratio):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Steps 3 to 6. Returns the diagnostics: means over the minibatches that were looked at."""
+    """Steps 3 to 6. Returns the diagnostics of each minibatch that was looked at."""
     obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
-    with torch.no_grad():  # no step yet: π is still π_old
-        old_log_probs = gaussian_log_prob(samples, *agent.policy(obs))
+    with torch.no_grad():  # advantages and targets are data: no gradient goes through them
+        values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
+        advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
+                                 batch["done"], args.gamma, args.gae_lambda).flatten()
+        targets = advantages + values.flatten()
+        old_log_probs = agent.policy(obs).log_prob(samples).sum(-1)  # no step yet: π is still π_old
+    # A = R − V is what V did not predict of R.
+    explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     logs = []
-    for epoch in range(args.epochs):
-        with torch.no_grad():  # advantages and targets are data: no gradient goes through them
-            values = agent.value(batch["obs"])
-            next_values = agent.value(batch["next_obs"])
-            advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
-                                     batch["done"], args.gamma, args.gae_lambda)
-            targets = (advantages + values).flatten()
-            advantages = advantages.flatten()
-        if epoch == 0:  # A = R − V is what V did not predict
-            explained_variance = 1 - advantages.var() / targets.var()
-        order = torch.randperm(len(obs))
-        for rows in order.tensor_split(max(1, len(order) // args.minibatch_size)):
-            mean, log_std = agent.policy(obs[rows])
-            log_ratio = gaussian_log_prob(samples[rows], mean, log_std) - old_log_probs[rows]
+    for _ in range(args.epochs):
+        for rows in torch.randperm(len(obs)).split(args.minibatch_size):
+            policy = agent.policy(obs[rows])
+            log_ratio = policy.log_prob(samples[rows]).sum(-1) - old_log_probs[rows]
             ratio = log_ratio.exp()  # ρ
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # standardised
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = value_loss(agent.value(obs[rows]), targets[rows])
-            entropy = gaussian_entropy(log_std)
+            entropy = policy.entropy().sum(-1).mean()
             log = {"policy_loss": loss_pi.item(), "value_loss": loss_v.item(),
-                   "entropy": entropy.item(), "policy_std": log_std.exp().mean().item(),
-                   "approx_kl": kl.item(), "explained_variance": explained_variance.item(),
+                   "entropy": entropy.item(), "policy_std": policy.stddev.mean().item(),
+                   "approximate_kl": kl.item(), "explained_variance": explained_variance.item(),
                    "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean().item()}
             logs.append(log)
             if kl > args.max_kl:  # step 5
-                return average(logs)
+                return logs
             optimizer.zero_grad()
-            (loss_pi + args.value_coef * loss_v - args.entropy_coef * entropy).backward()
-            log["grad_norm"] = nn.utils.clip_grad_norm_(
-                list(agent.parameters()), args.max_grad_norm, error_if_nonfinite=True).item()
+            (loss_pi + loss_v - args.entropy_coef * entropy).backward()
+            log["gradient_norm"] = nn.utils.clip_grad_norm_(
+                agent.parameters(), args.max_grad_norm, error_if_nonfinite=True).item()
             optimizer.step()  # step 6
-    return average(logs)
-
-
-def average(logs):
-    """The mean of each diagnostic over all minibatches that have it."""
-    return pd.DataFrame(logs).mean().to_dict()
+    return logs
 
 
 # --- Training -------------------------------------------------------------------------------------
 
 
-def train(args, seed, folder, position=0):
-    """Train one seed into `folder`; `position` is the line of its progress bar."""
+def train(args, seed):
+    """Train one seed. Yields what there is to write down, at the start and after each update."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
     # gradients move a weight as far as large ones do; 1e-5 keeps them small.
-    groups = [{"params": agent.parameters(), "lr": args.learning_rate}]
-    optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
-    rates = [group["lr"] for group in optimizer.param_groups]
-    log = Log(args, seed, folder, agent, optimizer, position)
-    if args.resume:
-        resume(log)
-    log.save()  # evaluates, too
-    obs, _ = envs.reset(seed=make_seeds(seed, 2 + log.env_step, args.num_envs))
+    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
+    env_step = resume(args.resume, agent, optimizer) if args.resume else 0
+    obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return = 0.0
-    batch_size = args.num_envs * args.rollout_steps
-    num_updates = math.ceil(args.total_steps / batch_size)
-    for update in range(log.env_step // batch_size, num_updates):
-        for group, rate in zip(optimizer.param_groups, rates):
-            group["lr"] = rate * (1 - update / num_updates)  # step 7 of the update before
-        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, log.env_step)  # step 1
+    yield env_step, agent, optimizer, [], {}
+    while env_step < args.total_steps:
+        share = 1 - env_step / args.total_steps
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 7 of the update before
+        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
-        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 6
+        logs = optimise(agent, optimizer, batch, args)  # steps 3 to 6
         # Only now: until here π has to see s as π_old did, with the old mean and std.
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 7
-        log.update(batch_size, episodes, diagnostics)
+        env_step += batch["rewards"].numel()
+        yield env_step, agent, optimizer, episodes, pd.DataFrame(logs).mean().to_dict()
     envs.close()
 
 
@@ -460,7 +428,7 @@ def check_finite(step, *arrays):
     for values in arrays:
         if not np.isfinite(values).all():
             culprit = np.argwhere(~np.isfinite(values))[0, 0]
-            sys.exit(f"\nerror: environment {culprit} returned NaN or infinity at its step {step}")
+            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
 # --- Evaluate and watch ---------------------------------------------------------------------------
@@ -504,115 +472,106 @@ def watch(args):
 # --- Files ----------------------------------------------------------------------------------------
 
 
-class Log:
-    """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
-
-    def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.folder = args, seed, folder
-        self.agent, self.optimizer = agent, optimizer
-        self.tables = {"evals": [], "episodes": [], "metrics": []}
-        self.env_step, self.seconds = 0, 0.0
-        self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        position=position, leave=False,
-                        mininterval=0.1 if sys.stderr.isatty() else 30)
-
-    def update(self, steps, episodes, diagnostics):
-        """Keep the rows of an update that took `steps` environment steps."""
-        self.env_step += steps
-        self.seconds += time.perf_counter() - self.clock
-        self.tables["episodes"] += episodes
-        self.tables["metrics"].append({
-            "env_step": self.env_step, **diagnostics,
-            "learning_rate": self.optimizer.param_groups[0]["lr"],
-            "steps_per_second": self.env_step / self.seconds})
-        self.clock = time.perf_counter()
-        pause = self.args.total_steps / self.args.num_evals
-        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
-        if self.env_step >= due:
-            self.save()
-        evaluation = self.tables["evals"][-1]["return_mean"]
-        returns = [row["return"] for row in self.tables["episodes"][-20:]]
-        training = f"{np.mean(returns):.0f}" if returns else "not known yet"
-        self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
-
-    def save(self):
-        """Evaluate, then write all files."""
-        self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
-                                     **evaluate(self.agent, self.envs, self.seed)})
-        self.folder.mkdir(exist_ok=True)
-        for name, rows in self.tables.items():
-            if rows:
-                pd.DataFrame(rows).to_csv(self.folder / "table.tmp", index=False)
-                os.replace(self.folder / "table.tmp", self.folder / f"{name}.csv")  # all or nothing
-        state = {"args": {**vars(self.args), "seed": [self.seed]}, "tables": self.tables,
-                 "agent": self.agent.state_dict(), "optimizer": self.optimizer.state_dict(),
-                 "rng": torch.get_rng_state()}
-        torch.save(state, self.folder / "checkpoint.tmp")
-        os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
-        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+def make_folder(args):
+    """A new folder for this call, with args.json."""
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        argparse.ArgumentParser(usage=argparse.SUPPRESS).error(f"argument --out-dir: {error}")
+    versions = {package.name: package.version for package in distributions()}
+    record = {**vars(args), "command": sys.argv, "versions": versions}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
 
 
-def resume(log):
-    """Bring back agent, optimizer and tables. Episodes that were going on are lost."""
-    checkpoint = torch.load(log.args.resume, log.args.device, weights_only=True)
-    log.agent.load_state_dict(checkpoint["agent"])
-    log.optimizer.load_state_dict(checkpoint["optimizer"])
+def run(args, seed, folder, position=0):
+    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    seconds, next_eval = 0.0, 0
+    start = time.perf_counter()
+    if args.resume:
+        tables = torch.load(args.resume, "cpu", weights_only=True)["tables"]
+        seconds = tables["evals"].pop()["seconds"]  # this row is made again
+    with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
+              position=position, leave=False, mininterval=1) as bar:
+        for env_step, agent, optimizer, episodes, diagnostics in train(args, seed):
+            if diagnostics:  # an update was made
+                seconds += time.perf_counter() - start
+                tables["episodes"] += episodes
+                speed = {"steps_per_second": env_step / seconds}
+                tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
+            if env_step >= next_eval:
+                evaluation = evaluate(agent, envs, seed)
+                tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
+                save(args, seed, folder, tables, agent, optimizer)
+                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+            returns = [row["return"] for row in tables["episodes"][-20:]]
+            training = f"{np.mean(returns):.0f}" if returns else "not known yet"
+            bar.set_postfix_str(
+                f"evaluation {evaluation['return_mean']:.0f}, training {training}", refresh=False)
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            start = time.perf_counter()  # evaluating and saving are not training
+
+
+def save(args, seed, folder, tables, agent, optimizer):
+    """Write the tables and the checkpoint; each file is replaced in one go."""
+    folder.mkdir(exist_ok=True)
+    for name, rows in tables.items():
+        if rows:
+            pd.DataFrame(rows).to_csv(folder / "table.tmp", index=False)
+            os.replace(folder / "table.tmp", folder / f"{name}.csv")
+    state = {"args": {**vars(args), "seed": [seed]}, "tables": tables, "rng": torch.get_rng_state(),
+             "agent": agent.state_dict(), "optimizer": optimizer.state_dict()}
+    torch.save(state, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+
+
+def resume(path, agent, optimizer):
+    """Bring back what a checkpoint holds; its environment steps. Unfinished episodes are lost."""
+    checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
+    agent.load_state_dict(checkpoint["agent"])
+    optimizer.load_state_dict(checkpoint["optimizer"])
     torch.set_rng_state(checkpoint["rng"].cpu())
-    log.tables = checkpoint["tables"]
-    last = log.tables["evals"].pop()  # `save` makes this row again
-    log.env_step, log.seconds = last["env_step"], last["seconds"]
+    return checkpoint["tables"]["evals"][-1]["env_step"]
 
 
 # --- Plot -----------------------------------------------------------------------------------------
 
-LABELS = {
-    "policy_loss": "policy loss", "value_loss": "value loss (scaled rewards)",
-    "entropy": "entropy (nats)", "policy_std": "σ, mean over actions",
-    "approx_kl": "KL from the old policy (nats)", "clip_fraction": "share of clipped ratios",
-    "explained_variance": "explained variance", "grad_norm": "gradient norm",
-    "learning_rate": "learning rate", "steps_per_second": "steps per second"}
-
-
-def draw(axis, folder, table, column, label):
-    """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
-
-    Each seed is smoothed over a fiftieth of its rows. Seeds have rows at different steps, so each
-    keeps its last value until its next one.
-    """
-    files = folder.glob(f"**/{table}.csv")
-    seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
-    if seeds:
-        smooth = [seed.rolling(1 + len(seed) // 50, min_periods=1).mean() for seed in seeds]
-        seeds = pd.concat(smooth, axis=1).sort_index().ffill().dropna()
-        mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
-        axis.plot(mean, label=label)
-        axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k for 100000
-
 
 def plot(folder, env_id):
-    """learning_curve.png: returns on top, the columns of metrics.csv below."""
-    rows = math.ceil(len(LABELS) / 4)
-    with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
-        figure = Figure(figsize=(12, 6 + 2 * rows), layout="constrained")
-        grid = figure.add_gridspec(3 + rows, 4)
-        top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
-        draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
-        draw(top, folder, "episodes", "return", "training, sampled actions")
-        for i, (column, label) in enumerate(LABELS.items()):
-            axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
-            draw(axis, folder, "metrics", column, label)
+    """learning_curve.png: returns on top, below them the columns of metrics.csv.
+
+    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    """
+    files = folder.glob("**/*.csv")
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
+    total = data["env_step"].max()
+    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data = data.interpolate("index").stack(future_stack=True).reset_index()
+    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind")
+    figure = Figure(figsize=(12, 12), layout="constrained")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
+    for panel, column in enumerate(diagnostics, start=13):
+        axis = figure.add_subplot(6, 4, panel)
+        sns.lineplot(**curve, y=column, ax=axis)
+        axis.set(xlabel="", ylabel=column.replace("_", " "))
+    top = figure.add_subplot(6, 4, (1, 12))
+    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    if "return" in data:  # an episode has ended
+        sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-    seeds = len(list(folder.glob("**/evals.csv")))
-    what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
-    top.set_title(f"{env_id}, {what}")
-    if top.lines:  # else Ctrl-C came before the first evaluation
         top.legend()
-    figure.savefig(folder / "learning_curve.png")
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    top.set(xlabel="environment steps", ylabel="return", title=title)
+    figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 
 
 # --- Command line ---------------------------------------------------------------------------------
@@ -633,77 +592,46 @@ def number(kind, low, high=1e12):
 
 def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
-    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
-    path = args.resume if args.watch is None else args.watch
+    path = args.watch or args.resume
+    expected = Exception if path else (gym.error.Error, ImportError)
     try:
-        if path is not None:
+        if path:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-            env = gym.make(args.env_id)
+        env = gym.make(args.env_id)
+        spaces = env.observation_space, env.action_space
+        boxes = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
+        if not boxes or not env.action_space.is_bounded():
+            raise gym.error.Error(
+                "takes flat Box observations (gymnasium.wrappers.FlattenObservation), bounded Box "
+                f"actions (a2c_vector.py: Discrete, reinforce_mujoco.py: unbounded), not {spaces}")
+        if path:
             agent = Agent(env.observation_space, env.action_space, args)
             agent.load_state_dict(checkpoint["agent"])
-    except Exception as error:  # missing, cut short, of another script, does not fit other flags
-        parser.error(f"argument --watch or --resume: {path}: {error!r}".splitlines()[0])
-    try:
-        env = gym.make(args.env_id)
-    except (gym.error.Error, ImportError) as error:  # which names the nearest environment
-        parser.error(f"argument --env-id: {error}".splitlines()[0])
-    observations, actions = env.observation_space, env.action_space
-    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
-        hint = "gymnasium.wrappers.FlattenObservation may make one"
-        parser.error(f"argument --env-id: takes flat Box observations, not {observations} ({hint})")
-    box = isinstance(actions, gym.spaces.Box) and len(actions.shape) == 1
-    if not box or not actions.is_bounded():
-        hint = "a2c_vector.py takes Discrete, reinforce_mujoco.py unbounded ones"
-        parser.error(f"argument --env-id: takes flat, bounded Box actions, not {actions} ({hint})")
+    except expected as error:
+        name = "--watch or --resume" if path else "--env-id"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args
 
 
-def make_folder(args):
-    """A new folder for this call, with args.json."""
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
-    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
-    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        print(f"error: argument --out-dir: {error}", file=sys.stderr)
-        sys.exit(2)
-    record = {**vars(args), "command": sys.argv, "versions": versions}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
-    return folder
-
-
-def train_seeds(args, folder):
+def train_seeds(args, folders):
     """One seed here, several side by side in processes of their own."""
-    folders = [folder / f"seed-{seed}" for seed in args.seed]
     if len(folders) == 1:
-        return train(args, args.seed[0], folders[0])
+        return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
+    jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
         if job.exception():
             print(f"seed {seed} failed:", file=sys.stderr)
             raise job.exception()
-
-
-def report(folder, args):
-    """What came out of each seed, where it is, and how to go on with it."""
-    for file in sorted(folder.glob("**/evals.csv")):
-        last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if "resume" in args and last["env_step"] < args.total_steps:
-            print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 def main():
@@ -714,18 +642,22 @@ def main():
     if args.watch:
         return watch(args)
     folder = Path(args.resume).parent if args.resume else make_folder(args)
+    folders = [folder] if args.resume else [folder / f"seed-{seed}" for seed in args.seed]
     try:
-        if args.resume:
-            train(args, args.seed[0], folder)
-        else:
-            train_seeds(args, folder)
+        train_seeds(args, folders)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()
     finally:
-        print(f"drawing {folder / 'learning_curve.png'}", flush=True)
-        plot(folder, args.env_id)
-        report(folder, args)
+        if any(folder.glob("**/metrics.csv")):
+            print(f"drawing {folder / 'learning_curve.png'}", flush=True)
+            plot(folder, args.env_id)
+        for file in sorted(folder.glob("**/evals.csv")):
+            last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
+            print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
+                  f"{last['seconds'] / 60:.1f} minutes: {path}")
+            if last["env_step"] < args.total_steps:
+                print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 if __name__ == "__main__":

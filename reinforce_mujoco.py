@@ -68,6 +68,7 @@ import signal
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, wait
+from importlib.metadata import distributions
 from pathlib import Path
 
 import gymnasium as gym
@@ -76,7 +77,6 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -87,7 +87,7 @@ from tqdm import tqdm
 def parse_args(argv=None):
     """Every knob: its name, its default, its meaning, its symbol."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0],
+        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
     add = parser.add_argument_group("run").add_argument
@@ -152,9 +152,9 @@ class Agent(nn.Module):
         density; for it, the clipping is a part of the environment.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        mean, std = policy.mean, policy.stddev
-        samples = mean if deterministic else mean + std * torch.randn_like(mean)
-        return samples.cpu().numpy(), samples.clamp(self.low, self.high).cpu().numpy()
+        samples = policy.mode if deterministic else policy.sample()
+        actions = samples.clamp(self.low, self.high)
+        return samples.cpu().numpy(), actions.cpu().numpy()
 
 
 # --- Rollout --------------------------------------------------------------------------------------
@@ -236,9 +236,9 @@ def optimise(agent, optimizer, batch, baseline):
     optimizer.zero_grad()  # step 4
     (loss_pi + loss_v).backward()  # one for π, one for V: they share no weights
     weights = nn.ModuleList((agent.trunk, agent.mean, agent.raw_std)).parameters()  # those of π
-    grad_norm = nn.utils.get_total_norm([p.grad for p in weights], error_if_nonfinite=True)
+    gradient_norm = nn.utils.get_total_norm([p.grad for p in weights], error_if_nonfinite=True)
     optimizer.step()
-    diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "grad_norm": grad_norm,
+    diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "gradient_norm": gradient_norm,
                    "entropy": policy.entropy().sum(-1).mean(), "policy_std": policy.stddev.mean()}
     return {name: x.item() for name, x in diagnostics.items()}
 
@@ -246,22 +246,23 @@ def optimise(agent, optimizer, batch, baseline):
 # --- Training -------------------------------------------------------------------------------------
 
 
-def train(args, seed, folder, position=0):
-    """Train one seed into `folder`; `position` is the line of its progress bar."""
+def train(args, seed):
+    """Train one seed. Yields what there is to write down, at the start and after each update."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     env = record_episodes(gym.make(args.env_id))
-    agent = Agent(env.observation_space, env.action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)
-    log = Log(args, seed, folder, agent, optimizer, position)
-    log.save()
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
-    while log.env_step < args.total_steps:
-        share = 1 - log.env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5: falls to 0
-        batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, log.env_step)  # 1, 2
+    agent = Agent(env.observation_space, env.action_space, args).to(args.device)
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)
+    env_step = 0
+    yield env_step, agent, optimizer, [], {}
+    while env_step < args.total_steps:
+        share = 1 - env_step / args.total_steps
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the update before
+        batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, env_step)  # 1 and 2
         diagnostics = optimise(agent, optimizer, batch, args.baseline)  # steps 3 and 4
-        log.update(len(batch["obs"]), episodes, diagnostics)
+        env_step += len(batch["obs"])
+        yield env_step, agent, optimizer, episodes, diagnostics
 
 
 # ==================================================================================================
@@ -289,7 +290,7 @@ def check_finite(step, *arrays):
     for values in arrays:
         if not np.isfinite(values).all():
             culprit = np.argwhere(~np.isfinite(values))[0, 0]
-            sys.exit(f"\nerror: environment {culprit} returned NaN or infinity at its step {step}")
+            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
 # --- Evaluate and watch ---------------------------------------------------------------------------
@@ -333,102 +334,94 @@ def watch(args):
 # --- Files ----------------------------------------------------------------------------------------
 
 
-class Log:
-    """The tables and the checkpoint of one seed, its evaluations, its progress bar."""
+def make_folder(args):
+    """A new folder for this call, with args.json."""
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        argparse.ArgumentParser(usage=argparse.SUPPRESS).error(f"argument --out-dir: {error}")
+    versions = {package.name: package.version for package in distributions()}
+    record = {**vars(args), "command": sys.argv, "versions": versions}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
+    return folder
 
-    def __init__(self, args, seed, folder, agent, optimizer, position):
-        self.args, self.seed, self.folder = args, seed, folder
-        self.agent, self.optimizer = agent, optimizer
-        self.tables = {"evals": [], "episodes": [], "metrics": []}
-        self.env_step, self.seconds = 0, 0.0
-        self.envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-        self.bar = tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-                        position=position, leave=False,
-                        mininterval=0.1 if sys.stderr.isatty() else 30)
 
-    def update(self, steps, episodes, diagnostics):
-        """Keep the rows of an update that took `steps` environment steps."""
-        self.env_step += steps
-        self.seconds += time.perf_counter() - self.clock
-        self.tables["episodes"] += episodes
-        self.tables["metrics"].append({
-            "env_step": self.env_step, **diagnostics,
-            "learning_rate": self.optimizer.param_groups[0]["lr"],
-            "steps_per_second": self.env_step / self.seconds})
-        self.clock = time.perf_counter()
-        pause = self.args.total_steps / self.args.num_evals
-        due = min(self.tables["evals"][-1]["env_step"] + pause, self.args.total_steps)
-        if self.env_step >= due:
-            self.save()
-        evaluation = self.tables["evals"][-1]["return_mean"]
-        returns = [row["return"] for row in self.tables["episodes"][-20:]]
-        training = f"{np.mean(returns):.0f}" if returns else "not known yet"
-        self.bar.set_postfix_str(f"evaluation {evaluation:.0f}, training {training}", refresh=False)
-        self.bar.update(min(self.env_step, self.args.total_steps) - self.bar.n)
+def run(args, seed, folder, position=0):
+    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    seconds, next_eval = 0.0, 0
+    start = time.perf_counter()
+    with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
+              position=position, leave=False, mininterval=1) as bar:
+        for env_step, agent, optimizer, episodes, diagnostics in train(args, seed):
+            if diagnostics:  # an update was made
+                seconds += time.perf_counter() - start
+                tables["episodes"] += episodes
+                speed = {"steps_per_second": env_step / seconds}
+                tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
+            if env_step >= next_eval:
+                evaluation = evaluate(agent, envs, seed)
+                tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
+                save(args, seed, folder, tables, agent, optimizer)
+                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+            returns = [row["return"] for row in tables["episodes"][-20:]]
+            training = f"{np.mean(returns):.0f}" if returns else "not known yet"
+            bar.set_postfix_str(
+                f"evaluation {evaluation['return_mean']:.0f}, training {training}", refresh=False)
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            start = time.perf_counter()  # evaluating and saving are not training
 
-    def save(self):
-        """Evaluate, then write all files."""
-        self.tables["evals"].append({"env_step": self.env_step, "seconds": self.seconds,
-                                     **evaluate(self.agent, self.envs, self.seed)})
-        self.folder.mkdir(exist_ok=True)
-        for name, rows in self.tables.items():
-            if rows:
-                pd.DataFrame(rows).to_csv(self.folder / "table.tmp", index=False)
-                os.replace(self.folder / "table.tmp", self.folder / f"{name}.csv")  # all or nothing
-        state = {"args": {**vars(self.args), "seed": [self.seed]}, "tables": self.tables,
-                 "agent": self.agent.state_dict(), "optimizer": self.optimizer.state_dict(),
-                 "rng": torch.get_rng_state()}
-        torch.save(state, self.folder / "checkpoint.tmp")
-        os.replace(self.folder / "checkpoint.tmp", self.folder / "checkpoint.pt")
-        self.clock = time.perf_counter()  # evaluating and saving are not training, all else is
+
+def save(args, seed, folder, tables, agent, optimizer):
+    """Write the tables and the checkpoint; each file is replaced in one go."""
+    folder.mkdir(exist_ok=True)
+    for name, rows in tables.items():
+        if rows:
+            pd.DataFrame(rows).to_csv(folder / "table.tmp", index=False)
+            os.replace(folder / "table.tmp", folder / f"{name}.csv")
+    state = {"args": {**vars(args), "seed": [seed]}, "tables": tables, "rng": torch.get_rng_state(),
+             "agent": agent.state_dict(), "optimizer": optimizer.state_dict()}
+    torch.save(state, folder / "checkpoint.tmp")
+    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
 
 
 # --- Plot -----------------------------------------------------------------------------------------
 
-LABELS = {
-    "policy_loss": "policy loss", "value_loss": "value loss", "entropy": "entropy (nats)",
-    "policy_std": "σ, mean over states and actions", "grad_norm": "gradient norm of the policy",
-    "learning_rate": "learning rate", "steps_per_second": "steps per second"}
-
-
-def draw(axis, folder, table, column, label):
-    """The mean over seeds; the band is ± 1.96 standard errors, a 95% interval.
-
-    Each seed is smoothed over a fiftieth of its rows. Seeds have rows at different steps, so each
-    keeps its last value until its next one.
-    """
-    files = folder.glob(f"**/{table}.csv")
-    seeds = [pd.read_csv(file).groupby("env_step")[column].mean() for file in files]
-    if seeds:
-        smooth = [seed.rolling(1 + len(seed) // 50, min_periods=1).mean() for seed in seeds]
-        seeds = pd.concat(smooth, axis=1).sort_index().ffill().dropna()
-        mean, error = seeds.mean(axis=1), 1.96 * seeds.sem(axis=1)
-        axis.plot(mean, label=label)
-        axis.fill_between(mean.index, mean - error, mean + error, alpha=0.25)
-    axis.xaxis.set_major_formatter(EngFormatter(sep=""))  # 100k for 100000
-
 
 def plot(folder, env_id):
-    """learning_curve.png: returns on top, the columns of metrics.csv below."""
-    rows = math.ceil(len(LABELS) / 4)
-    with sns.axes_style("whitegrid"), sns.color_palette("colorblind"):
-        figure = Figure(figsize=(12, 6 + 2 * rows), layout="constrained")
-        grid = figure.add_gridspec(3 + rows, 4)
-        top = figure.add_subplot(grid[:3, :], xlabel="environment steps", ylabel="return")
-        draw(top, folder, "evals", "return_mean", "evaluation, deterministic actions")
-        draw(top, folder, "episodes", "return", "training, sampled actions")
-        for i, (column, label) in enumerate(LABELS.items()):
-            axis = figure.add_subplot(grid[3 + i // 4, i % 4], title=label)
-            draw(axis, folder, "metrics", column, label)
+    """learning_curve.png: returns on top, below them the columns of metrics.csv.
+
+    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    """
+    files = folder.glob("**/*.csv")
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
+    total = data["env_step"].max()
+    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data = data.interpolate("index").stack(future_stack=True).reset_index()
+    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind")
+    figure = Figure(figsize=(12, 12), layout="constrained")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
+    for panel, column in enumerate(diagnostics, start=13):
+        axis = figure.add_subplot(6, 4, panel)
+        sns.lineplot(**curve, y=column, ax=axis)
+        axis.set(xlabel="", ylabel=column.replace("_", " "))
+    top = figure.add_subplot(6, 4, (1, 12))
+    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    if "return" in data:  # an episode has ended
+        sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-    seeds = len(list(folder.glob("**/evals.csv")))
-    what = f"mean and 95% interval of {seeds} seeds" if seeds > 1 else "one seed"
-    top.set_title(f"{env_id}, {what}")
-    if top.lines:  # else Ctrl-C came before the first evaluation
         top.legend()
-    figure.savefig(folder / "learning_curve.png")
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    top.set(xlabel="environment steps", ylabel="return", title=title)
+    figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 
 
 # --- Command line ---------------------------------------------------------------------------------
@@ -449,75 +442,45 @@ def number(kind, low, high=1e12):
 
 def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
-    parser.error = lambda message: parser.exit(2, f"{parser.prog}: error: {message}\n")
     args = parser.parse_args(argv)
+    path = args.watch
+    expected = Exception if path else (gym.error.Error, ImportError)
     try:
-        if args.watch is not None:
-            checkpoint = torch.load(args.watch, "cpu", weights_only=True)  # runs no code from it
+        if path:
+            checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
-            env = gym.make(args.env_id)
+        env = gym.make(args.env_id)
+        spaces = env.observation_space, env.action_space
+        if not all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces):
+            raise gym.error.Error(
+                "takes flat Box observations (gymnasium.wrappers.FlattenObservation) and "
+                f"Box actions (a2c_vector.py: Discrete), not {spaces}")
+        if path:
             agent = Agent(env.observation_space, env.action_space, args)
             agent.load_state_dict(checkpoint["agent"])
-    except Exception as error:  # missing, cut short, of another script, does not fit other flags
-        parser.error(f"argument --watch: {args.watch}: {error!r}".splitlines()[0])
-    try:
-        env = gym.make(args.env_id)
-    except (gym.error.Error, ImportError) as error:  # which names the nearest environment
-        parser.error(f"argument --env-id: {error}".splitlines()[0])
-    observations, actions = env.observation_space, env.action_space
-    if not isinstance(observations, gym.spaces.Box) or len(observations.shape) != 1:
-        hint = "gymnasium.wrappers.FlattenObservation may make one"
-        parser.error(f"argument --env-id: takes flat Box observations, not {observations} ({hint})")
-    if not isinstance(actions, gym.spaces.Box) or len(actions.shape) != 1:
-        hint = "a2c_vector.py takes Discrete ones"
-        parser.error(f"argument --env-id: takes flat Box actions, not {actions} ({hint})")
+    except expected as error:
+        name = "--watch" if path else "--env-id"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed):
         parser.error(f"argument --seed: got {args.seed}, takes each once")
     return args
 
 
-def make_folder(args):
-    """A new folder for this call, with args.json."""
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
-    packages = ("torch", "gymnasium", "numpy", "mujoco", "Box2D")
-    versions = {name: sys.modules[name].__version__ for name in packages if name in sys.modules}
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        print(f"error: argument --out-dir: {error}", file=sys.stderr)
-        sys.exit(2)
-    record = {**vars(args), "command": sys.argv, "versions": versions}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
-    return folder
-
-
-def train_seeds(args, folder):
+def train_seeds(args, folders):
     """One seed here, several side by side in processes of their own."""
-    folders = [folder / f"seed-{seed}" for seed in args.seed]
     if len(folders) == 1:
-        return train(args, args.seed[0], folders[0])
+        return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(train, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
+    jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
     for seed, job in zip(args.seed, jobs):
         if job.exception():
             print(f"seed {seed} failed:", file=sys.stderr)
             raise job.exception()
-
-
-def report(folder, args):
-    """What came out of each seed, where it is, and how to go on with it."""
-    for file in sorted(folder.glob("**/evals.csv")):
-        last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {path}")
-        if "resume" in args and last["env_step"] < args.total_steps:
-            print(f"to go on: python {sys.argv[0]} --resume {path}")
 
 
 def main():
@@ -528,15 +491,20 @@ def main():
     if args.watch:
         return watch(args)
     folder = make_folder(args)
+    folders = [folder / f"seed-{seed}" for seed in args.seed]
     try:
-        train_seeds(args, folder)
+        train_seeds(args, folders)
     except KeyboardInterrupt:
         for process in multiprocessing.active_children():  # other seeds, or environments
             process.terminate()
     finally:
-        print(f"drawing {folder / 'learning_curve.png'}", flush=True)
-        plot(folder, args.env_id)
-        report(folder, args)
+        if any(folder.glob("**/metrics.csv")):
+            print(f"drawing {folder / 'learning_curve.png'}", flush=True)
+            plot(folder, args.env_id)
+        for file in sorted(folder.glob("**/evals.csv")):
+            last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
+            print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
+                  f"{last['seconds'] / 60:.1f} minutes: {path}")
 
 
 if __name__ == "__main__":

@@ -9,11 +9,9 @@ import os
 import platform
 import subprocess
 import sys
-import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from unittest import mock
 
 import gymnasium as gym
 import numpy as np
@@ -33,6 +31,7 @@ DEFAULTS = {name: vars(script.parse_args([])) for name, script in SCRIPTS.items(
 STEPS = {name: {x["env_id"]: x["total_steps"]} for name, x in DEFAULTS.items()}
 STEPS[PPO] |= {f"{name}-v5": 1_000_000 for name in (  # the table of environments
     "HalfCheetah", "Hopper", "Walker2d", "Ant", "Swimmer", "Reacher", "InvertedPendulum")}
+PACKAGES = "torch", "gymnasium", "mujoco", "Box2D", "numpy"
 SEEDS = {name: [1, 2, 3, 5, 8] if name == REINFORCE else [1, 2, 3, 4, 5] for name in SCRIPTS}
 
 
@@ -57,8 +56,7 @@ def print_table(header, rows):
 
 
 def installed():
-    packages = "torch", "gymnasium", "mujoco", "box2d", "numpy"
-    return {name: importlib.metadata.version(name) for name in packages}
+    return {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
 def print_machine(versions):
@@ -80,11 +78,11 @@ def make_envs(script, args):
 
 def train(script, flags, seed):
     """Train without evaluations, in this process; returns the seconds and the steps it took."""
-    SCRIPTS[script].evaluate = lambda *_: {"return_mean": 0.0}
-    with tempfile.TemporaryDirectory() as folder:
-        SCRIPTS[script].train(SCRIPTS[script].parse_args(flags), seed, Path(folder))
-        last = pd.read_csv(Path(folder, "evals.csv")).iloc[-1]
-    return last["seconds"], last["env_step"]
+    updates = SCRIPTS[script].train(SCRIPTS[script].parse_args(flags), seed)
+    next(updates)  # all is made, nothing is trained
+    start = time.perf_counter()
+    env_step, *_ = list(updates)[-1]
+    return time.perf_counter() - start, env_step
 
 
 def our_speed(script, flags, seed):
@@ -278,6 +276,7 @@ def collect(script, folders):
         flags = " ".join(f"--{name.replace('_', '-')} {config[name]}" for name in names)
         if Path(config["command"][0]).stem != script:
             sys.exit(f"error: {folder} is of {config['command'][0]}, not of {script}.py")
+        versions = {name: config["versions"].get(name) for name in PACKAGES}
         for seed in config["seed"]:  # one without a result is an error, not left out
             keys = {"env_id": config["env_id"], "flags": flags, "seed": seed}
             tables = {name: pd.read_csv(folder / f"seed-{seed}/{name}.csv") for name in curves}
@@ -291,7 +290,7 @@ def collect(script, folders):
                 "env_steps": last["env_step"], "eval_return_mean": last["return_mean"],
                 "eval_return_std": last["return_std"], "eval_episodes": last["episodes"],
                 "last_100_returns": tables["episodes"]["return"].tail(100).mean(),
-                "minutes": last["seconds"] / 60, "versions": json.dumps(config["versions"]),
+                "minutes": last["seconds"] / 60, "versions": json.dumps(versions),
                 "steps_per_second": last["env_step"] / last["seconds"]})
     return pd.DataFrame(rows), *(pd.concat(x, ignore_index=True) for x in curves.values())
 
@@ -361,25 +360,13 @@ def returns(args):
 BASELINES = "none", "mean", "value"
 
 
-class Halfway(Exception):
-    """Ends a training; carries its agent."""
-
-
 def halfway_agent(threshold):
     """REINFORCE's agent when its last 20 training returns average `threshold`; it has no V."""
-
-    class Log(reinforce.Log):
-        def update(self, steps, episodes, diagnostics):
-            super().update(steps, episodes, diagnostics)
-            if np.mean([row["return"] for row in self.tables["episodes"][-20:]]) >= threshold:
-                raise Halfway(self.agent)
-
-    args = reinforce.parse_args(["--baseline", "mean", "--num-evals", "1"])
-    with tempfile.TemporaryDirectory() as folder, mock.patch.object(reinforce, "Log", Log):
-        try:
-            reinforce.train(args, 1, Path(folder))
-        except Halfway as halfway:
-            return args, halfway.args[0]
+    args, returns = reinforce.parse_args(["--baseline", "mean"]), []
+    for _, agent, _, episodes, _ in reinforce.train(args, seed=1):
+        returns += [row["return"] for row in episodes]
+        if returns and np.mean(returns[-20:]) >= threshold:
+            return args, agent
     sys.exit(f"error: argument --halfway: no 20 episodes average {threshold:g}")
 
 
@@ -562,14 +549,10 @@ def main():
     add("--steps", type=int, default=100_000, help="at least, in every measurement")
     add("--pairs", type=int, default=5, help="measurements of each, in turns")
 
-    tasks = {"script": PPO, "env_id": ["HalfCheetah-v5", "Hopper-v5"]}
-    squash = [["--squash", x] for x in ("tanh", "clip")]
     baseline = [["--baseline", x] for x in BASELINES]
     for add in (
         add_study("returns", returns, "after training; for PPO on its table of environments",
                   compare=[[]]),
-        add_study("squash", returns, "PPO: returns of --squash tanh against clip", plot=True,
-                  compare=squash, **tasks),
         add_study("baselines", baselines, "REINFORCE: returns and noise of each --baseline",
                   script=REINFORCE, compare=baseline),
     ):

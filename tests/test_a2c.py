@@ -84,7 +84,7 @@ def optimise(args, agent, batch):
 def train(path, env, options="", seed=1):
     """Train into `path`: the parameters and statistics at the end."""
     path.mkdir(exist_ok=True)
-    a2c.train(parse(env, options), seed, path / "seed")
+    a2c.run(parse(env, options), seed, path / "seed")
     return torch.load(path / "seed/checkpoint.pt", weights_only=True)["agent"]
 
 
@@ -108,7 +108,7 @@ def test_the_last_row_of_a_rollout_and_a_rollout_of_one_step_learn():
             values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
         advantages = a2c.compute_gae(
             rewards, values, next_values, terminated, done, args.gamma, args.gae_lambda)
-        delta = rewards + args.gamma * next_values * ~terminated - values
+        delta = rewards + args.gamma * next_values * (1 - terminated) - values
         assert terminated[-1].all() == (T == 6)
         torch.testing.assert_close(advantages[-1], delta[-1])
 
@@ -122,11 +122,10 @@ def test_nothing_of_the_next_episode_reaches_an_episode(world):
     assert done[end].all()
     values, next_values = torch.randn(2, *rewards.shape)
     before = a2c.compute_gae(rewards, values, next_values, terminated, done, 0.9, 0.8)
-    assert before.isfinite().all()
     for x in rewards, values, next_values:
-        x[end + 1 :] = math.nan  # NaN, since 0 · NaN would still be NaN
+        x[end + 1 :] += 100
     if world == "DiscreteThreeSteps":
-        next_values[end] = math.nan
+        next_values[end] += 100
     after = a2c.compute_gae(rewards, values, next_values, terminated, done, 0.9, 0.8)
     assert torch.equal(before[: end + 1], after[: end + 1])
 
@@ -163,15 +162,14 @@ def gradients_by_hand(args, agent, batch):
         for t in range(T):
             for k in range(t, T):
                 goes_on = not terminated[k, n]
-                reward = args.reward_scale * rewards[k, n]
-                delta = reward + args.gamma * goes_on * next_V[k][n] - V[k][n]
+                delta = rewards[k, n] + args.gamma * goes_on * next_V[k][n] - V[k][n]
                 advantages[t, n] += (args.gamma * args.gae_lambda) ** (k - t) * delta
                 if done[k, n]:
                     break
     targets = advantages + torch.tensor(V)
     advantages = (advantages - advantages.mean()) / advantages.std(correction=0)
     probs = agent.actor(states).softmax(-1)
-    log_pi = probs.gather(-1, batch["samples"].unsqueeze(-1)).squeeze(-1).log()
+    log_pi = probs.gather(-1, batch["samples"].long().unsqueeze(-1)).squeeze(-1).log()
     entropy = -(probs * probs.log()).sum(-1).mean()
     loss_pi = -(advantages * log_pi).mean() - args.entropy_coef * entropy
     loss_v = (values - targets).square().mean() / 2
@@ -184,7 +182,7 @@ def gradients_by_hand(args, agent, batch):
 def test_an_update_follows_the_gradient_written_out(world, rollout_steps):
     """In particular, none goes through a bootstrap value, a target or an advantage."""
     options = f"--rollout-steps {rollout_steps} --max-grad-norm 1e9"
-    options += " --gamma 0.9 --gae-lambda 0.7 --entropy-coef 0.3 --reward-scale 0.4"
+    options += " --gamma 0.9 --gae-lambda 0.7 --entropy-coef 0.3"
     args, agent, batch = play(world, options)
     batch["rewards"] = torch.randn_like(batch["rewards"])
     expected = gradients_by_hand(args, agent, batch)
@@ -228,7 +226,7 @@ def test_longer_gradients_are_shortened_network_by_network_and_logged_as_they_we
         torch.manual_seed(0)
         args, agent, batch = play(options=f"--max-grad-norm {limit}")
         metrics = optimise(args, agent, batch)
-        logged.append([metrics["grad_norm"], metrics["critic_grad_norm"]])
+        logged.append([metrics["gradient_norm"], metrics["critic_gradient_norm"]])
         for network in agent.actor, agent.critic:
             kept.append(torch.cat([p.grad.flatten() for p in network.parameters()]).norm().item())
     assert logged[0] == logged[1] == pytest.approx(kept[:2])
@@ -237,14 +235,14 @@ def test_longer_gradients_are_shortened_network_by_network_and_logged_as_they_we
 
 
 def test_the_logged_numbers_are_those_of_the_rollout():
-    args, agent, batch = play(options="--gae-lambda 1 --gamma 0.9 --reward-scale 2")
+    args, agent, batch = play(options="--gae-lambda 1 --gamma 0.9")
     with torch.no_grad():
         policy, values = agent.policy(batch["obs"]), agent.value(batch["obs"])
     metrics = optimise(args, agent, batch)
-    # λ = 1: R of the steps of whole episodes is the discounted sum of their rewards, 2 · 1 each
-    R = 2 * torch.tensor([1 + 0.9 + 0.81, 1 + 0.9, 1] * 8 + [0]).unsqueeze(-1).repeat(1, 4)
+    # λ = 1: R of the steps of whole episodes is the discounted sum of their rewards, 1 each
+    R = torch.tensor([1 + 0.9 + 0.81, 1 + 0.9, 1] * 8 + [0]).unsqueeze(-1).repeat(1, 4)
     with torch.no_grad():
-        R[-1] = 2 + 0.9 * agent.value(batch["next_obs"][-1])
+        R[-1] = 1 + 0.9 * agent.value(batch["next_obs"][-1])
     assert metrics["value_loss"] == pytest.approx((values - R).square().mean().item() / 2, rel=1e-4)
     explained = 1 - (R - values).var() / R.var()
     assert metrics["explained_variance"] == pytest.approx(explained.item(), rel=1e-3)
@@ -271,10 +269,10 @@ def test_statistics_are_those_of_all_rows_from_the_first_call_on():
     torch.testing.assert_close(norm(rows).mean(0), torch.zeros(3), rtol=0, atol=1e-4)
 
 
-def test_the_norm_takes_what_never_moves_whole_numbers_and_outliers():
+def test_the_norm_takes_what_never_moves_and_outliers():
     norm = a2c.RunningNorm((2,))
     assert norm(torch.tensor([3.0, -4.0])).tolist() == [3, -4]
-    norm.update(torch.tensor([[7, 1], [7, 3]]))
+    norm.update(torch.tensor([[7.0, 1.0], [7.0, 3.0]]))
     assert norm(torch.tensor([[7.0, 2.0], [7.0, 1e9]])).tolist() == [[0, 0], [0, 10]]
 
 
@@ -322,17 +320,22 @@ def test_the_deterministic_action_is_the_most_likely_one():
     np.testing.assert_array_equal(actions, samples + 1)  # this world counts from 1
 
 
-def test_a_saved_agent_acts_the_same_when_loaded(tmp_path):
-    args, envs, _, agent = make()
-    optimizer = torch.optim.Adam(agent.parameters())
-    a2c.Log(args, 1, tmp_path / "seed", agent, optimizer, 0).save()
-    torch.manual_seed(1)
-    other = a2c.Agent(envs.single_observation_space, envs.single_action_space, args)
+def test_a_saved_agent_acts_and_learns_the_same_when_it_is_resumed(tmp_path):
+    args, envs, obs, agent = make()
+    batch, _, _ = a2c.rollout(envs, agent, obs, args.rollout_steps, 0)
+    agents = [agent, a2c.Agent(envs.single_observation_space, envs.single_action_space, args)]
+    optimizers = [torch.optim.Adam(x.parameters(), lr) for x, lr in zip(agents, (0.02, 0.01))]
+    a2c.optimise(agent, optimizers[0], batch, args)
+    a2c.save(args, 1, tmp_path / "seed", {"evals": [{"env_step": 300}]}, agent, optimizers[0])
     obs = np.float32(np.random.default_rng(0).normal(size=(100, 2), scale=3))
-    old, new = (x.act(obs, deterministic=True)[1] for x in (agent, other))
+    old, new = (x.act(obs, deterministic=True)[1] for x in agents)
     assert (old != new).any()
-    other.load_state_dict(torch.load(tmp_path / "seed/checkpoint.pt", weights_only=True)["agent"])
-    np.testing.assert_array_equal(old, other.act(obs, deterministic=True)[1])
+    sampled, _ = agent.act(obs)
+    assert a2c.resume(tmp_path / "seed/checkpoint.pt", agents[1], optimizers[1]) == 300
+    np.testing.assert_array_equal(sampled, agents[1].act(obs)[0])  # the same noise, too
+    for x, optimizer in zip(agents, optimizers):
+        a2c.optimise(x, optimizer, batch, args)
+    check_same(*(x.state_dict() for x in agents))
 
 
 # --- Rollout --------------------------------------------------------------------------------------
@@ -343,23 +346,23 @@ def test_every_row_is_a_real_transition(world):
     """The world shows (episode, steps since its start): what each row must look like is known."""
     args, envs, obs, agent = make(world)
     batch, last_obs, _ = a2c.rollout(envs, agent, obs, args.rollout_steps, 0)
+    assert all(x.dtype == torch.float32 for x in batch.values())
     states, next_states = batch["obs"], batch["next_obs"]
     rewards, terminated, done = gae_inputs(batch)
     length = {"DiscreteThreeSteps": 3, "DiscreteForever": 8}[world]
     assert (states[0, :, 1] == 0).all()
     assert torch.equal(next_states[..., 0], states[..., 0])  # the same episode, also at its end
     assert torch.equal(next_states[..., 1], states[..., 1] + 1)
-    assert torch.equal(done, next_states[..., 1] == length)
+    ends = next_states[..., 1] == length
+    assert torch.equal(done, ends.float())
     by_itself = world == "DiscreteThreeSteps"
     assert torch.equal(terminated, done if by_itself else torch.zeros_like(done))
-    goes_on = ~done[:-1]
-    assert torch.equal(states[1:][goes_on], next_states[:-1][goes_on])
-    assert (states[1:][done[:-1]][:, 1] == 0).all()
-    assert torch.equal(torch.tensor(last_obs)[~done[-1]], next_states[-1][~done[-1]])
+    assert torch.equal(states[1:][~ends[:-1]], next_states[:-1][~ends[:-1]])
+    assert (states[1:][ends[:-1]][:, 1] == 0).all()
+    assert torch.equal(torch.tensor(last_obs)[~ends[-1]], next_states[-1][~ends[-1]])
     assert (rewards == 1).all()
     for env in envs.envs:  # as many rows as steps, by its own count
         assert env.unwrapped.total == len(states)
-    assert all(x.dtype in (torch.float32, torch.bool) for x in (states, rewards, next_states, done))
 
 
 def test_a_rollout_goes_on_where_the_last_one_ended():
@@ -374,7 +377,7 @@ def test_the_stored_action_is_the_one_that_was_executed():
     _, _, batch = play("Echo", "--rollout-steps 60 --total-steps 240")
     samples, executed = batch["samples"], batch["next_obs"][..., 0]
     assert sorted(set(samples.flatten().tolist())) == [0, 1, 2]
-    assert torch.equal(samples + 1, executed.long())
+    assert torch.equal(samples + 1, executed)
 
 
 def test_every_finished_episode_is_logged_once_with_its_raw_return_and_length():
@@ -406,7 +409,7 @@ def test_nan_and_infinity_end_a_rollout_and_name_environment_and_step(fault, ste
     envs.envs[2].unwrapped.fault, envs.envs[2].unwrapped.fault_at = fault, step
     with pytest.raises(SystemExit) as end:
         a2c.rollout(envs, agent, obs, 20, 4 * 4)
-    message = f"\nerror: environment 2 returned NaN or infinity at its step {step}"
+    message = f"error: environment 2 returned NaN or infinity at its step {step}"
     assert end.value.code == message
 
 
@@ -421,21 +424,70 @@ def test_the_same_seed_gives_the_same_parameters_and_another_seed_others(tmp_pat
     assert not any(torch.equal(first[name], other[name]) for name in weights)
 
 
-def test_both_learning_rates_fall_in_a_straight_line(tmp_path, monkeypatch):
-    seen, optimise = [], a2c.optimise
+def test_train_yields_the_start_and_then_every_update_once():
+    rows = list(a2c.train(parse("DiscreteThreeSteps", "--total-steps 250"), 1))
+    env_steps, agents, optimizers, episodes, diagnostics = zip(*rows)
+    assert env_steps == (0, 100, 200, 300)
+    assert len(set(agents)) == len(set(optimizers)) == 1
+    assert [len(x) for x in episodes] == [0, 32, 32, 36]  # of 3 steps, in 4 environments
+    assert diagnostics[0] == {}
+    assert all(np.isfinite(list(x.values())).all() for x in diagnostics)
+    assert len({x["gradient_norm"] for x in diagnostics[1:]}) == 3
 
-    def spy(agent, optimizer, *rest):
+
+def learning_rates(args):
+    """Those of actor and critic in each update, after which so many steps were made."""
+    rates = {}
+    for env_step, agent, optimizer, _, diagnostics in a2c.train(args, 1):
         for network, group in zip((agent.actor, agent.critic), optimizer.param_groups):
             assert {id(p) for p in group["params"]} == {id(p) for p in network.parameters()}
-        seen.append([group["lr"] for group in optimizer.param_groups])
-        return optimise(agent, optimizer, *rest)
+        if diagnostics:
+            rates[env_step] = [group["lr"] for group in optimizer.param_groups]
+    return rates
 
-    monkeypatch.setattr(a2c, "optimise", spy)
-    options = "--learning-rate 1e-3 --critic-learning-rate 4e-3 --total-steps 390"
-    train(tmp_path, "DiscreteThreeSteps", options)
-    falling = np.array([1, 0.75, 0.5, 0.25])  # 4 updates of 100 steps, the last one in full
-    np.testing.assert_allclose(seen, np.stack([1e-3 * falling, 4e-3 * falling], axis=1))
-    np.testing.assert_allclose(read(tmp_path, "metrics")["learning_rate"], 1e-3 * falling)
+
+def test_both_learning_rates_fall_in_a_straight_line():
+    options = "--learning-rate 2e-3 --critic-learning-rate 4e-3 --total-steps 390"
+    rates = learning_rates(parse("DiscreteThreeSteps", options))
+    assert list(rates) == [100, 200, 300, 400]  # 4 updates, the last one in full
+    falling = 1 - np.array([0, 100, 200, 300]) / 390
+    expected = np.stack([2e-3 * falling, 4e-3 * falling], axis=1)
+    np.testing.assert_allclose(list(rates.values()), expected)
+
+
+def test_a_resumed_run_goes_on_at_its_step_with_the_learning_rates_that_belong_there(tmp_path):
+    train(tmp_path, "DiscreteThreeSteps", "--total-steps 200")
+    options = "--learning-rate 2e-3 --critic-learning-rate 4e-3 --total-steps 400"
+    args = parse("DiscreteThreeSteps", options)
+    args.resume = tmp_path / "seed/checkpoint.pt"
+    rates = learning_rates(args)
+    assert list(rates) == [300, 400]
+    np.testing.assert_allclose(list(rates.values()), [[1e-3, 2e-3], [5e-4, 1e-3]])
+
+
+@pytest.mark.parametrize(
+    ("option", "learns"), [("--learning-rate", "critic"), ("--critic-learning-rate", "actor")])
+def test_with_one_learning_rate_0_only_the_other_network_learns(option, learns):
+    updates = a2c.train(parse("DiscreteThreeSteps", f"{option} 0"), 1)
+    _, agent, *_ = next(updates)
+    before = {name: p.clone() for name, p in agent.named_parameters()}
+    next(updates)
+    changed = {name for name, p in agent.named_parameters() if not torch.equal(p, before[name])}
+    assert {name.split(".")[0] for name in changed} == {learns}
+
+
+def test_rewards_are_scaled_once_before_an_update_learns_from_them(monkeypatch):
+    seen, compute_gae = [], a2c.compute_gae
+
+    def spy(rewards, *rest):
+        seen.append(rewards.unique().tolist())
+        return compute_gae(rewards, *rest)
+
+    monkeypatch.setattr(a2c, "compute_gae", spy)
+    args = parse("DiscreteThreeSteps", "--reward-scale 0.25 --total-steps 200")
+    *_, (_, _, _, episodes, _) = a2c.train(args, 1)
+    assert seen == [[0.25], [0.25]]
+    assert {row["return"] for row in episodes} == {3}  # the raw ones
 
 
 def test_the_agent_that_learns_from_a_rollout_is_the_one_that_played_it(tmp_path, monkeypatch):
@@ -701,7 +753,7 @@ def test_an_environment_that_fails_in_its_process_leaves_none_behind(world, tmp_
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
 def test_ctrl_c_of_a_terminal_reaches_all_processes_and_ends_in_order(tmp_path):
-    """A terminal sends it to the whole group. What is left is of the evaluation before training."""
+    """A terminal sends it to the whole group. Only the evaluation before training is left."""
     options = ASYNC.split() + ["--total-steps", 10_000_000]
     arguments = script_arguments("DiscreteThreeSteps", *options)
     process = start("a2c_vector.py", *arguments, cwd=tmp_path, own_group=True)
@@ -720,7 +772,8 @@ def test_ctrl_c_of_a_terminal_reaches_all_processes_and_ends_in_order(tmp_path):
     assert torch.load(saved[0], weights_only=True)["agent"]["norm.count"] == 0
     assert str(saved[0].relative_to(tmp_path)) in out
     assert "--resume" in out
-    assert (folder / "learning_curve.png").exists()
+    assert "drawing" not in out  # there is nothing to draw yet
+    assert {x.name for x in folder.iterdir()} == {"args.json", "seed-1"}
 
 
 # --- Learning -------------------------------------------------------------------------------------

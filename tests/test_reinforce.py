@@ -53,7 +53,7 @@ def watched(tmp_path, monkeypatch):
         with monkeypatch.context() as patch:
             for name in calls:
                 patch.setattr(rf, name, record(name, getattr(rf, name)))
-            rf.train(parse(world, options), seed, tmp_path / f"seed-{seed}")
+            rf.run(parse(world, options), seed, tmp_path / f"seed-{seed}")
         ((_, agent),) = calls.pop("Agent")
         return agent, calls, tmp_path / f"seed-{seed}"
 
@@ -395,7 +395,7 @@ def test_nan_and_infinity_end_a_rollout_and_name_the_step(fault, step):
     env.unwrapped.fault, env.unwrapped.fault_at = fault, step
     with pytest.raises(SystemExit) as end:
         rf.rollout(env, agent, 4, 0.9, 3)
-    assert end.value.code == f"\nerror: environment 0 returned NaN or infinity at its step {step}"
+    assert end.value.code == f"error: environment 0 returned NaN or infinity at its step {step}"
 
 
 def test_an_episode_without_a_time_limit_is_cut_off_after_10_000_steps():
@@ -419,19 +419,27 @@ def test_every_episode_is_logged_once_with_its_raw_return_and_length(watched):
     assert metrics["env_step"].tolist() == [12, 24, 36]
 
 
-def test_the_learning_rate_falls_in_a_straight_line(watched, monkeypatch):
-    seen, optimise = [], rf.optimise
+def test_train_yields_the_start_and_then_every_update_once():
+    env_steps, agents, optimizers, episodes, diagnostics = zip(
+        *rf.train(parse("ThreeSteps", "--total-steps 30"), 1))
+    assert env_steps == (0, 12, 24, 36)
+    assert len(set(agents)) == len(set(optimizers)) == 1
+    assert [[row["env_step"] for row in rows] for rows in episodes] == [
+        [], [3, 6, 9, 12], [15, 18, 21, 24], [27, 30, 33, 36]]
+    assert diagnostics[0] == {}
+    assert len({x["gradient_norm"] for x in diagnostics[1:]}) == 3
 
-    def spy(agent, optimizer, *rest):
+
+def test_the_learning_rate_falls_in_a_straight_line():
+    rates = {}
+    args = parse("ThreeSteps", "--total-steps 30 --learning-rate 0.02")
+    for env_step, agent, optimizer, _, diagnostics in rf.train(args, 1):
         (group,) = optimizer.param_groups
         assert {id(p) for p in group["params"]} == {id(p) for p in agent.parameters()}
-        seen.append(group["lr"])
-        return optimise(agent, optimizer, *rest)
-
-    monkeypatch.setattr(rf, "optimise", spy)
-    _, _, folder = watched("ThreeSteps", "--total-steps 30 --learning-rate 0.02")
-    np.testing.assert_allclose(seen, 0.02 * np.array([1, 1 - 12 / 30, 1 - 24 / 30]))
-    np.testing.assert_allclose(pd.read_csv(folder / "metrics.csv")["learning_rate"], seen)
+        if diagnostics:  # an update was made, with this rate
+            rates[env_step] = group["lr"]
+    expected = {12: 0.02, 24: 0.02 * (1 - 12 / 30), 36: 0.02 * (1 - 24 / 30)}
+    assert rates == pytest.approx(expected)
 
 
 def test_the_log_shows_the_policy_that_acted(watched):
@@ -444,7 +452,7 @@ def test_the_log_shows_the_policy_that_acted(watched):
     assert metrics["entropy"] == pytest.approx(entropy.item(), rel=1e-4)
     assert metrics["policy_std"] == pytest.approx(std.mean().item(), rel=1e-4)
     squares = sum((p.grad**2).sum().item() for p in policy_networks(agent).parameters())
-    assert metrics["grad_norm"] == pytest.approx(math.sqrt(squares), rel=1e-4)
+    assert metrics["gradient_norm"] == pytest.approx(math.sqrt(squares), rel=1e-4)
 
 
 def test_the_first_evaluation_comes_before_training_the_others_evenly(watched):
@@ -508,7 +516,7 @@ def test_the_value_network_learns_what_a_state_is_worth(watched):
 
 def test_it_learns_to_balance_a_pole(tmp_path):
     args = rf.parse_args(["--total-steps", "15000", "--num-evals", "1"])
-    rf.train(args, 1, tmp_path / "seed-1")
+    rf.run(args, 1, tmp_path / "seed-1")
     assert pd.read_csv(tmp_path / "seed-1/evals.csv")["return_mean"].iloc[-1] > 30
     episodes = pd.read_csv(tmp_path / "seed-1/episodes.csv")["return"]
     assert episodes[-20:].mean() > 2.5 * episodes[:20].mean()
