@@ -30,7 +30,7 @@ discounted sum of the rewards that follow s_t. Both see s normalised, with a run
   5. With A standardised (mean 0, std 1), a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
      the gradients of actor and critic each shortened to max_grad_norm if longer.
-  6. Update the mean and std that normalise s. Lower the learning rates. Go to 1.
+  6. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
 time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
@@ -173,7 +173,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and the mean and variance that normalise states."""
+    """The actor π(a|s), the critic V(s), what normalises states."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -327,6 +327,7 @@ def train(args, seed):
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"] *= args.reward_scale  # step 2
         diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
+        # Only now: until here π has to see s as it did when it played.
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
         env_step += batch["rewards"].numel()
         yield env_step, agent, optimizer, episodes, diagnostics
@@ -354,11 +355,10 @@ class RandomPhysics(gym.Wrapper):
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             self.random = np.random.default_rng([seed, 1])  # [seed] is the environment's own
-        lander = self.unwrapped  # `reset` already needs its new physics
-        lander.enable_wind = bool(self.random.integers(2))
-        lander.gravity = self.random.uniform(-11.99, -7.0)
-        lander.wind_power = self.random.uniform(0.0, 20.0)
-        lander.turbulence_power = self.random.uniform(0.0, 2.0)
+        self.unwrapped.enable_wind = bool(self.random.integers(2))  # `reset` already needs all this
+        self.unwrapped.gravity = self.random.uniform(-11.99, -7.0)
+        self.unwrapped.wind_power = self.random.uniform(0.0, 20.0)
+        self.unwrapped.turbulence_power = self.random.uniform(0.0, 2.0)
         return self.env.reset(seed=seed, options=options)
 
 
@@ -507,16 +507,15 @@ def plot(folder, env_id):
     data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
     data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
-    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
-    sns.set_theme(style="whitegrid", palette="colorblind")
+    data.columns = data.columns.str.replace("_", " ")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
+    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.8)
     figure = Figure(figsize=(12, 12), layout="constrained")
-    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
     for panel, column in enumerate(diagnostics, start=13):
-        axis = figure.add_subplot(6, 4, panel)
-        sns.lineplot(**curve, y=column, ax=axis)
-        axis.set(xlabel="", ylabel=column.replace("_", " "))
+        sns.lineplot(**curve, y=column, ax=figure.add_subplot(6, 4, panel))
     top = figure.add_subplot(6, 4, (1, 12))
-    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    sns.lineplot(**curve, y="return mean", ax=top, label="evaluation, deterministic actions")
     if "return" in data:  # an episode has ended
         sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
@@ -564,11 +563,9 @@ def check(parser, argv):
         if args.randomize and not hasattr(env.unwrapped, "wind_power"):
             raise gym.error.Error("--randomize takes LunarLander")
         if path:
-            agent = Agent(env.observation_space, env.action_space, args)
-            agent.load_state_dict(checkpoint["agent"])
+            Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        name = "--watch or --resume" if path else "--env-id"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args

@@ -24,18 +24,16 @@ have. It answers with a reward r and the next state, and so on until the episode
 The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
 discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
   1. Play a rollout: T steps in each of N environments with π, called π_old from now on.
-  2. Divide the rewards by the running std of their discounted sums, so that V predicts numbers of
-     size 1. From here on r is the scaled reward.
+  2. Divide each r by the running std of the discounted sums of r, so that V is of size 1.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
      R_t = A_t + V(s_t)                                                target of the critic
-  Several epochs: shuffle the T·N steps, split them into minibatches of M. For each of these, with
-  ρ = π(u|s) / π_old(u|s):
-    5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 7.
-    6. With A standardised over the minibatch (mean 0, std 1), a step of Adam on
-       −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
-       its gradient shortened to max_grad_norm if it is longer.
-  7. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
+  Several epochs, each over all steps, in minibatches of M shuffled ones; ρ = π(u|s) / π_old(u|s):
+  5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
+     Else, with A standardised over the minibatch (mean 0, std 1), a step of Adam on
+         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
+     its gradient shortened to max_grad_norm if it is longer.
+  6. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
 time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
@@ -55,11 +53,10 @@ how much better than expected it turned out. That is the advantage A: the same g
 but with less noise.
 PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ:
 E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du. The farther π is from π_old, the noisier this
-estimate, and the states are still those of π_old. So 5 and the clip in 6 keep π close to π_old.
+estimate, and the states are still those of π_old. So KL limit and clip in 5 keep π close to π_old.
 
 = A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
-minibatches, the KL limit (5), ρ and its clip (6).
-Left out: recurrent networks, images, discrete actions.
+minibatches, the KL limit, ρ and its clip (5). Left out: recurrent networks, images.
 
 Symbols: γ discount; ε clip range; H = −E[log π] entropy, large if π is undecided; c_H its weight;
     μ(s), σ mean and std of π; KL(π_old ‖ π) = E_old[log π_old − log π], 0 if both are the same.
@@ -183,9 +180,9 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 class Agent(nn.Module):
     """The actor π(u|s) = N(μ(s), σ²), the critic V(s), what normalises states and rewards.
 
-    σ (K,) is the same in every state. The parameter is log σ / std_speed: Adam moves a parameter by
-    about the learning rate, whatever the size of its gradient, and so log σ by about std_speed
-    times the learning rate. Below 1, exploring goes on after the first success.
+    σ (K,) is the same in every state. Its parameter is log σ / std_speed: Adam moves a parameter by
+    about the learning rate, whatever its gradient, and so log σ by about std_speed times that.
+    Below 1, exploring goes on after the first success.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -213,9 +210,8 @@ class Agent(nn.Module):
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a = g(u) (N, K).
 
-        g is tanh, to (−1, 1), stretched over [low, high]. PPO may take it for a part of the
-        environment, as it needs only the density of u. (That of a has the factor 1/|g'(u)| besides:
-        the same for π and π_old, it cancels in ρ.)
+        g is tanh, stretched from (−1, 1) to (low, high). PPO needs only the density of u: that of a
+        has the factor 1/|g'(u)| besides, the same for π and π_old, so it cancels in ρ.
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
@@ -265,11 +261,10 @@ def rollout(envs, agent, obs, num_steps, env_step):
 def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
-    F is the discounted sum of an episode's rewards so far. V predicts that of the rewards to come,
-    which is not known yet, but varies about as much. The mean of the rewards is not subtracted:
-    that would change what one more step of an episode is worth.
-    `past_return` (N,) is F after the rollout before, 0 where an episode ended. Returns the scaled
-    rewards, and F after this rollout.
+    V predicts the discounted sum of the rewards to come. F is that of an episode's rewards so far,
+    which is known at once and varies about as much. No mean is subtracted: that would change what
+    one more step is worth. `past_return` (N,) is F after the rollout before; returned with the
+    rewards is F after this one, 0 where an episode ended.
     """
     rewards_by_step, done = rewards.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
     past_returns = np.empty_like(rewards_by_step)
@@ -329,7 +324,7 @@ def approximate_kl(log_ratio):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Steps 3 to 6. Returns the diagnostics of each minibatch that was looked at."""
+    """Steps 3 to 5. Returns the diagnostics of each minibatch that was looked at."""
     obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
     with torch.no_grad():  # advantages and targets are data: no gradient goes through them
         values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
@@ -356,13 +351,13 @@ def optimise(agent, optimizer, batch, args):
                    "approximate_kl": kl.item(), "explained_variance": explained_variance.item(),
                    "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean().item()}
             logs.append(log)
-            if kl > args.max_kl:  # step 5
+            if kl > args.max_kl:  # step 5, too far
                 return logs
             optimizer.zero_grad()
             (loss_pi + loss_v - args.entropy_coef * entropy).backward()
             log["gradient_norm"] = nn.utils.clip_grad_norm_(
                 agent.parameters(), args.max_grad_norm, error_if_nonfinite=True).item()
-            optimizer.step()  # step 6
+            optimizer.step()  # step 5
     return logs
 
 
@@ -384,13 +379,13 @@ def train(args, seed):
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 7 of the update before
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the update before
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
-        logs = optimise(agent, optimizer, batch, args)  # steps 3 to 6
-        # Only now: until here π has to see s as π_old did, with the old mean and std.
-        agent.norm.update(batch["obs"].flatten(0, 1))  # step 7
+        logs = optimise(agent, optimizer, batch, args)  # steps 3 to 5
+        # Only now: until here π has to see s as it did when it played.
+        agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
         env_step += batch["rewards"].numel()
         yield env_step, agent, optimizer, episodes, pd.DataFrame(logs).mean().to_dict()
     envs.close()
@@ -553,16 +548,15 @@ def plot(folder, env_id):
     data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
     data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
-    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
-    sns.set_theme(style="whitegrid", palette="colorblind")
+    data.columns = data.columns.str.replace("_", " ")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
+    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.8)
     figure = Figure(figsize=(12, 12), layout="constrained")
-    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
     for panel, column in enumerate(diagnostics, start=13):
-        axis = figure.add_subplot(6, 4, panel)
-        sns.lineplot(**curve, y=column, ax=axis)
-        axis.set(xlabel="", ylabel=column.replace("_", " "))
+        sns.lineplot(**curve, y=column, ax=figure.add_subplot(6, 4, panel))
     top = figure.add_subplot(6, 4, (1, 12))
-    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    sns.lineplot(**curve, y="return mean", ax=top, label="evaluation, deterministic actions")
     if "return" in data:  # an episode has ended
         sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
@@ -608,11 +602,9 @@ def check(parser, argv):
                 "takes flat Box observations (gymnasium.wrappers.FlattenObservation), bounded Box "
                 f"actions (a2c_vector.py: Discrete, reinforce_mujoco.py: unbounded), not {spaces}")
         if path:
-            agent = Agent(env.observation_space, env.action_space, args)
-            agent.load_state_dict(checkpoint["agent"])
+            Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        name = "--watch or --resume" if path else "--env-id"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args

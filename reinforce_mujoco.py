@@ -403,16 +403,15 @@ def plot(folder, env_id):
     data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
     data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
-    curve = {"data": data, "x": "env_step", "errorbar": ("se", 1.96)}
-    sns.set_theme(style="whitegrid", palette="colorblind")
+    data.columns = data.columns.str.replace("_", " ")
+    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
+    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.8)
     figure = Figure(figsize=(12, 12), layout="constrained")
-    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns.drop("env_step")
     for panel, column in enumerate(diagnostics, start=13):
-        axis = figure.add_subplot(6, 4, panel)
-        sns.lineplot(**curve, y=column, ax=axis)
-        axis.set(xlabel="", ylabel=column.replace("_", " "))
+        sns.lineplot(**curve, y=column, ax=figure.add_subplot(6, 4, panel))
     top = figure.add_subplot(6, 4, (1, 12))
-    sns.lineplot(**curve, y="return_mean", ax=top, label="evaluation, deterministic actions")
+    sns.lineplot(**curve, y="return mean", ax=top, label="evaluation, deterministic actions")
     if "return" in data:  # an episode has ended
         sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
     threshold = gym.make(env_id).spec.reward_threshold
@@ -457,11 +456,9 @@ def check(parser, argv):
                 "takes flat Box observations (gymnasium.wrappers.FlattenObservation) and "
                 f"Box actions (a2c_vector.py: Discrete), not {spaces}")
         if path:
-            agent = Agent(env.observation_space, env.action_space, args)
-            agent.load_state_dict(checkpoint["agent"])
+            Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        name = "--watch" if path else "--env-id"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed):
         parser.error(f"argument --seed: got {args.seed}, takes each once")
     return args

@@ -293,7 +293,7 @@ def watch_update(agent, batch, args, lr=0.0):
 
 
 def gradients_by_hand(agent, old, batch, rows, args):
-    """Of the loss in step 6, from definitions; `old` played the rollout.
+    """Of the loss in step 5, from definitions; `old` played the rollout.
 
     And the share of ratios that are clipped.
     """
