@@ -13,52 +13,53 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-It learns to land on the moon: 232 points (200 count as solved) after 1,000,000 steps, 70 seconds.
+It learns to land on the moon: a return of 232, where 200 counts as solved, after 1,000,000 steps
+and 70 seconds. `--help` lists all options; each call leaves a folder in `runs`.
 
     python a2c_vector.py --seed 1 2 3 4 5
 
-In a state s (`obs` in the code) the actor, a network, gives each of K actions a probability π(a|s)
-and draws one. The environment answers with a reward r and the next state, and so on until the
-episode ends.
+In a state s (`obs` in the code) the actor, a network, gives each of K actions u a probability
+π(u|s) and draws one. The environment answers with a reward r and the next state, and so on until
+the episode ends.
 The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
 discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
   1. Play a rollout: T steps in each of N environments with π.
-  2. Multiply the rewards by a constant, so that V predicts numbers of moderate size.
+  2. Multiply r by a constant, so that V predicts moderate numbers.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)                                                target of the critic
-  5. With A standardised (mean 0, std 1), a step of Adam on
-         −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
+     R_t = A_t + V(s_t)                 target of the critic: rewards that came, and V for the rest
+  5. With A standardised (mean 0, std 1), so that its unit does not matter, a step of Adam on
+         −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
      the gradients of actor and critic each shortened to max_grad_norm if longer.
-  6. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
-
-terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
-time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-λ sets how far A trusts V. With λ = 0, A_t is δ_t: one reward, the rest is V. It varies little, but
-errors of V make it wrong (bias). With λ = 1, the V in between cancel out: A_t is the discounted sum
-of the rewards that came (and V where the rollout or a time limit cuts them off) minus V(s_t). It
-has hardly any bias, but varies a lot (variance). A λ in between is a compromise.
-
-Why it works. The aim is a large expected return E[G]. Let ∇ be its gradient in the weights of π.
-Look at one action in one state, after which G is to be expected. Then
-    ∇E[G] = ∇Σ_a π(a|s)·G = Σ_a ∇π·G = Σ_a π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-(G depends on π as well, through later actions. Each of those gets such a term of its own; the sum
-over all steps is the whole gradient.) The rollout can estimate it: push up the probability of each
-action by how much followed it. A number b may be subtracted from G if it does not depend on the
-action, for E[b·∇log π] = b·Σ_a ∇π = b·∇Σ_a π = b·∇1 = 0. With b = V(s), an action counts by
-how much better than expected it turned out. That is the advantage A: the same gradient on average,
-but with less noise.
-
-= REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
-episode has to be played to its end (3, 4); N environments at a time, before long each at another
-point of its episode, so that a short rollout is varied, and one call of the actor serves all (1).
-Left out: workers that update the weights without waiting for each other ([1]); layers that both
-networks share; images; continuous actions.
-
+  6. Update the mean and std that normalise s. Lower the learning rate, evenly to 0. Go to 1.
 Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
     settling on one action too early.
 Shapes: T steps of N environments; B rows of a batch; D numbers in s; K actions.
-Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
+    those of training, without evaluations.
+
+terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
+time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
+Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
+δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
+the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
+or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
+
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
+Look at one state, and let G(u) be the return to be expected after action u there. Then
+    ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
+(G depends on π as well, through later actions. Each of those gets such a term of its own, and all
+are added up; that of step t should weigh γ^t, which is usually left out.) The rollout can estimate
+it: push up the probability of each action by how much followed it. A number b may be subtracted
+from G if it does not depend on the action, for E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0.
+With b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the
+same gradient on average, but less noise. A estimates it.
+
+= REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
+episode has to be played to its end; many environments at a time, before long each at another point
+of its episode, so that a short rollout is varied, and one call of the actor serves all.
+Left out: workers that do not wait for each other ([1]); shared layers; images; continuous actions.
+
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization for
@@ -92,7 +93,7 @@ from tqdm import tqdm
 
 
 def parse_args(argv=None):
-    """Every knob: its name, its default, its meaning, its symbol."""
+    """All options, with defaults and symbols."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -109,12 +110,12 @@ def parse_args(argv=None):
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
-    add("--randomize", action="store_true", help="new physics for LunarLander in each episode")
+    add("--randomize", action="store_true", help="LunarLander: train in ever new physics")
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=32, help="steps of each environment, T")
     add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
-    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic, too")
+    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="that of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0: bias, 1: variance, λ")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
@@ -130,7 +131,7 @@ def parse_args(argv=None):
 
 
 class RunningNorm(nn.Module):
-    """(x − mean) / √var, clipped, with the mean and variance of all rows that `update` was given.
+    """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
     Both are buffers: they are saved with the weights, and nothing but `update` changes them. At
     first they are 0 and 1: the first rollout is played with states that are not normalised.
@@ -162,8 +163,8 @@ class RunningNorm(nn.Module):
 def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
-    A gain of √2 makes up for what the activation takes from the signal. With an output gain of 0.01
-    the actor treats all states alike at first, so it begins without an opinion.
+    A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
+    an output gain of 0.01 π starts nearly alike in all states, and favours no action.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -186,7 +187,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of an action (…), counted from 0."""
         return torch.distributions.Categorical(
-            logits=self.actor(self.norm(obs)), validate_args=False)
+            logits=self.actor(self.norm(obs)), validate_args=False)  # faster
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -247,29 +248,28 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
     A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
-    After the last step of the rollout A_{t+1} is 0, and V(s_{t+1}) stands for all that follows.
+    for the rewards that were cut off ([3] eq. 6). After both, A_{t+1} is of another episode, and
+    left out. After the last step of the rollout V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
-    deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
-    advantages = np.empty_like(deltas)
-    advantage = np.zeros_like(deltas[0])
+    advantages = torch.empty_like(deltas)
+    advantage = 0.0
     for t in reversed(range(len(deltas))):
         advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage  # step 4
         advantages[t] = advantage
-    return torch.as_tensor(advantages, device=rewards.device)
+    return advantages
 
 
 # --- Losses ---------------------------------------------------------------------------------------
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. What counts is its gradient: a lower loss is no better policy."""
+    """−mean(A·log π); (B,) each. Only its gradient means something, its value does not."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -287,9 +287,9 @@ def optimise(agent, optimizer, batch, args):
     # A = R − V is what V did not predict of R.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     policy = agent.policy(obs)
-    A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)  # standardised
-    loss_pi = policy_loss(policy.log_prob(samples), A)
-    loss_v = value_loss(agent.value(obs), targets)
+    standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
+    loss_pi = policy_loss(policy.log_prob(samples), standardised)
+    loss_v = value_loss(agent.value(obs), targets)  # V once more, with its gradient
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - args.entropy_coef * entropy).backward()  # the networks share no weights
@@ -322,7 +322,7 @@ def train(args, seed):
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the update before
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the last update
         optimizer.param_groups[1]["lr"] = args.critic_learning_rate * share
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"] *= args.reward_scale  # step 2
@@ -370,9 +370,9 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
 
-    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at their step k.
+    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -461,7 +461,8 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+                pause = args.total_steps / args.num_evals
+                next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
             bar.set_postfix_str(
@@ -499,13 +500,15 @@ def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
     A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
-    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
+    early, its last value goes on.
     """
-    files = folder.glob("**/*.csv")
+    names = ("evals.csv", "episodes.csv", "metrics.csv")
+    files = [file for file in folder.glob("**/*.csv") if file.name in names]
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
     total = data["env_step"].max()
-    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
-    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data["env_step"] = np.ceil(100 * data["env_step"] / total) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean().unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
@@ -546,10 +549,10 @@ def number(kind, low, high=1e12):
 def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
     args = parser.parse_args(argv)
-    path = args.watch or args.resume
-    expected = Exception if path else (gym.error.Error, ImportError)
+    path = args.resume if args.watch is None else args.watch
+    expected = (gym.error.Error, ImportError) if path is None else Exception
     try:
-        if path:
+        if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
@@ -562,10 +565,11 @@ def check(parser, argv):
                 f"actions (ppo_continuous.py: bounded Box, reinforce_mujoco.py: Box), not {spaces}")
         if args.randomize and not hasattr(env.unwrapped, "wind_power"):
             raise gym.error.Error("--randomize takes LunarLander")
-        if path:
+        if path is not None:
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
+        name = "--env-id" if path is None else "--watch or --resume"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args

@@ -14,7 +14,8 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-It learns to balance a double pendulum: 9,323 of 9,350 points after 150,000 steps, 20 seconds.
+It learns to balance a double pendulum: a return of 9,325, of about 9,350 possible, after 150,000
+steps and 20 seconds. `--help` lists all options; each call leaves a folder in `runs`.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 
@@ -24,44 +25,45 @@ have. It answers with a reward r and the next state, and so on until the episode
 The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
 discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
   1. Play a rollout: T steps in each of N environments with π, called π_old from now on.
-  2. Divide each r by the running std of the discounted sums of r, so that V is of size 1.
+  2. Divide r by the running std of F_t = r_t + γ·F_{t−1}, so that V predicts moderate numbers.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)                                                target of the critic
-  Several epochs, each over all steps, in minibatches of M shuffled ones; ρ = π(u|s) / π_old(u|s):
-  5. If π is too far from π_old, which is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
-     Else, with A standardised over the minibatch (mean 0, std 1), a step of Adam on
+     R_t = A_t + V(s_t)                 target of the critic: rewards that came, and V for the rest
+  5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
+     If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
+     With A standardised (mean 0, std 1), so that its unit does not matter, a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
      its gradient shortened to max_grad_norm if it is longer.
-  6. Update the mean and std that normalise s. Lower the learning rate. Go to 1.
+  6. Update the mean and std that normalise s. Lower the learning rate, evenly to 0. Go to 1.
+Symbols: γ discount; ε clip range; H = −E[log π] entropy, large if π is undecided; c_H its weight;
+    μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
+Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
+    those of training, without evaluations.
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
 time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-λ sets how far A trusts V. With λ = 0, A_t is δ_t: one reward, the rest is V. It varies little, but
-errors of V make it wrong (bias). With λ = 1, the V in between cancel out: A_t is the discounted sum
-of the rewards that came (and V where the rollout or a time limit cuts them off) minus V(s_t). It
-has hardly any bias, but varies a lot (variance). A λ in between is a compromise.
+Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
+δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
+the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
+or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
 
-Why it works. The aim is a large expected return E[G]. Let ∇ be its gradient in the weights of π.
-Look at one action in one state, after which G is to be expected. Then
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
+Look at one state, and let G(u) be the return to be expected after action u there. Then
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G depends on π as well, through later actions. Each of those gets such a term of its own; the sum
-over all steps is the whole gradient.) The rollout can estimate it: push up the probability of each
-action by how much followed it. A number b may be subtracted from G if it does not depend on the
-action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by
-how much better than expected it turned out. That is the advantage A: the same gradient on average,
-but with less noise.
+(G depends on π as well, through later actions. Each of those gets such a term of its own, and all
+are added up; that of step t should weigh γ^t, which is usually left out.) The rollout can estimate
+it: push up the probability of each action by how much followed it. A number b may be subtracted
+from G if it does not depend on the action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0.
+With b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the
+same gradient on average, but less noise. A estimates it.
 PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ:
 E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du. The farther π is from π_old, the noisier this
-estimate, and the states are still those of π_old. So KL limit and clip in 5 keep π close to π_old.
+estimate, and the states are still those of π_old. So KL limit and clip keep π close to π_old.
 
-= A2C (a2c_vector.py) plus: continuous actions (1), a running reward scale (2), several epochs of
-minibatches, the KL limit, ρ and its clip (5). Left out: recurrent networks, images.
+= A2C (a2c_vector.py) plus: continuous actions, a running reward scale (step 2), several epochs of
+minibatches, the KL limit, ρ and its clip (step 5). Left out: recurrent networks, images.
 
-Symbols: γ discount; ε clip range; H = −E[log π] entropy, large if π is undecided; c_H its weight;
-    μ(s), σ mean and std of π; KL(π_old ‖ π) = E_old[log π_old − log π], 0 if both are the same.
-Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
-Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
     al. 2018, Time Limits in Reinforcement Learning. [4] Schulman 2020, Approximating KL Divergence.
@@ -94,7 +96,7 @@ from tqdm import tqdm
 
 
 def parse_args(argv=None):
-    """Every knob: its name, its default, its meaning, its symbol."""
+    """All options, with defaults and symbols."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -114,7 +116,7 @@ def parse_args(argv=None):
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=128, help="steps of each environment, T")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 1), default=512, help="steps of a minibatch, M")
+    add("--minibatch-size", type=number(int, 2), default=512, help="steps of a minibatch, M")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0: bias, 1: variance, λ")
@@ -124,7 +126,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="of log σ, against all weights")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -135,7 +137,7 @@ def parse_args(argv=None):
 
 
 class RunningNorm(nn.Module):
-    """(x − mean) / √var, clipped, with the mean and variance of all rows that `update` was given.
+    """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
     Both are buffers: they are saved with the weights, and nothing but `update` changes them. At
     first they are 0 and 1: the first rollout is played with states that are not normalised.
@@ -167,8 +169,8 @@ class RunningNorm(nn.Module):
 def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
-    A gain of √2 makes up for what the activation takes from the signal. With an output gain of 0.01
-    the actor treats all states alike at first, so it begins without an opinion.
+    A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
+    an output gain of 0.01 π starts nearly alike in all states, and favours no action.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -182,7 +184,7 @@ class Agent(nn.Module):
 
     σ (K,) is the same in every state. Its parameter is log σ / std_speed: Adam moves a parameter by
     about the learning rate, whatever its gradient, and so log σ by about std_speed times that.
-    Below 1, exploring goes on after the first success.
+    Below 1, σ shrinks later, and exploring goes on after the first success.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -199,8 +201,8 @@ class Agent(nn.Module):
 
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
-        std = (self.std_speed * self.raw_log_std).clamp(-10, 2).exp()
-        return torch.distributions.Normal(self.actor(self.norm(obs)), std, validate_args=False)
+        mean, std = self.actor(self.norm(obs)), (self.std_speed * self.raw_log_std).exp()
+        return torch.distributions.Normal(mean, std, validate_args=False)  # faster
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -208,7 +210,7 @@ class Agent(nn.Module):
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions a = g(u) (N, K).
+        """NumPy (N, D) -> NumPy: samples u of π, or the likeliest u, and actions a = g(u); (N, K).
 
         g is tanh, stretched from (−1, 1) to (low, high). PPO needs only the density of u: that of a
         has the factor 1/|g'(u)| besides, the same for π and π_old, so it cancels in ρ.
@@ -262,16 +264,15 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
     V predicts the discounted sum of the rewards to come. F is that of an episode's rewards so far,
-    which is known at once and varies about as much. No mean is subtracted: that would change what
-    one more step is worth. `past_return` (N,) is F after the rollout before; returned with the
+    which is known at once and varies about as much. No mean is subtracted: it would make a reward
+    of 1 for each step a 0. `past_return` (N,) is F after the last rollout; returned with the
     rewards is F after this one, 0 where an episode ended.
     """
-    rewards_by_step, done = rewards.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
-    past_returns = np.empty_like(rewards_by_step)
-    for t in range(len(rewards_by_step)):
-        past_returns[t] = rewards_by_step[t] + gamma * past_return
+    past_returns = torch.empty_like(rewards)
+    for t in range(len(rewards)):
+        past_returns[t] = rewards[t] + gamma * past_return
         past_return = (1 - done[t]) * past_returns[t]
-    reward_norm.update(torch.as_tensor(past_returns.flatten(), device=rewards.device))
+    reward_norm.update(past_returns.flatten())
     return rewards / reward_norm.var.sqrt(), past_return
 
 
@@ -279,17 +280,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
     A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). In both cases A_{t+1} is of another episode.
-    After the last step of the rollout A_{t+1} is 0, and V(s_{t+1}) stands for all that follows.
+    for the rewards that were cut off ([3] eq. 6). After both, A_{t+1} is of another episode, and
+    left out. After the last step of the rollout V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
-    deltas, done = deltas.cpu().numpy(), done.cpu().numpy()  # faster than small tensors
-    advantages = np.empty_like(deltas)
-    advantage = np.zeros_like(deltas[0])
+    advantages = torch.empty_like(deltas)
+    advantage = 0.0
     for t in reversed(range(len(deltas))):
         advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage  # step 4
         advantages[t] = advantage
-    return torch.as_tensor(advantages, device=rewards.device)
+    return advantages
 
 
 # --- Losses ---------------------------------------------------------------------------------------
@@ -307,7 +307,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -342,8 +342,8 @@ def optimise(agent, optimizer, batch, args):
             ratio = log_ratio.exp()  # ρ
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # standardised
-            loss_pi = policy_loss(ratio, A, args.clip_eps)
+            standardised = (A - A.mean()) / (A.std(correction=0) + 1e-8)
+            loss_pi = policy_loss(ratio, standardised, args.clip_eps)
             loss_v = value_loss(agent.value(obs[rows]), targets[rows])
             entropy = policy.entropy().sum(-1).mean()
             log = {"policy_loss": loss_pi.item(), "value_loss": loss_v.item(),
@@ -372,14 +372,14 @@ def train(args, seed):
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
     # gradients move a weight as far as large ones do; 1e-5 keeps them small.
-    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)
+    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
     env_step = resume(args.resume, agent, optimizer) if args.resume else 0
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return = 0.0
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the update before
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the last update
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
@@ -411,9 +411,9 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
 
-    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at their step k.
+    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -502,7 +502,8 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+                pause = args.total_steps / args.num_evals
+                next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
             bar.set_postfix_str(
@@ -540,13 +541,15 @@ def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
     A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
-    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
+    early, its last value goes on.
     """
-    files = folder.glob("**/*.csv")
+    names = ("evals.csv", "episodes.csv", "metrics.csv")
+    files = [file for file in folder.glob("**/*.csv") if file.name in names]
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
     total = data["env_step"].max()
-    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
-    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data["env_step"] = np.ceil(100 * data["env_step"] / total) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean().unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
@@ -587,10 +590,10 @@ def number(kind, low, high=1e12):
 def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
     args = parser.parse_args(argv)
-    path = args.watch or args.resume
-    expected = Exception if path else (gym.error.Error, ImportError)
+    path = args.resume if args.watch is None else args.watch
+    expected = (gym.error.Error, ImportError) if path is None else Exception
     try:
-        if path:
+        if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
@@ -601,10 +604,11 @@ def check(parser, argv):
             raise gym.error.Error(
                 "takes flat Box observations (gymnasium.wrappers.FlattenObservation), bounded Box "
                 f"actions (a2c_vector.py: Discrete, reinforce_mujoco.py: unbounded), not {spaces}")
-        if path:
+        if path is not None:
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
+        name = "--env-id" if path is None else "--watch or --resume"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args

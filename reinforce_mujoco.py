@@ -12,48 +12,53 @@
 #     "tqdm>=4.66",
 # ]
 # ///
-"""REINFORCE: the policy gradient with Monte-Carlo returns, in one file.
+"""REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
-It learns to balance a pole on a cart: 1000 of 1000 points after 190,000 steps, half a minute.
+It learns to balance a pole on a cart: a return of 1000, one for each step that it stands, of 1000
+possible, after 190,000 steps and half a minute. `--help` lists all options; each call leaves a
+folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
 
 In a state s (`obs` in the code) the policy π(u|s), a probability density, draws u. The environment
-clips u to the range that its actions have, answers with a reward r and the next state, and so on
-until the episode ends after T steps.
-  1. Play a few episodes with π, the batch:  u_t ~ N(μ(s_t), σ(s_t)²).
+gets u, clipped to the range of its actions. It answers with a reward r and the next state, and so
+on until the episode ends after T steps.
+  1. Play a few episodes with π, the batch:  u_t ~ Normal(μ(s_t), σ(s_t)).
   2. G_t = r_t + γ·G_{t+1}   the reward-to-go: the discounted rewards that u_t can affect.
      G_T = 0 if the task ended there (the pole fell). If only time ran out, rewards could have
-     followed: then G_T = V(s_T) with --baseline value, and 0 without it ([3]).
+     followed: then G_T = V(s_T) with --baseline value ([3]), and 0, which is too low, without it.
   3. A_t = G_t − b_t   the advantage over a baseline b, which --baseline chooses:
        none   b_t = 0
-       mean   b_t = the mean of G over the batch; A is also divided by the batch's std of G
+       mean   b_t = the mean of G over the batch; A is also divided by the batch's std of G,
+              so that the unit of rewards does not matter
        value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
   4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over the batch.
      (Without a critic V = 0, and the second part is a constant.)
-  5. Lower the learning rate. Throw the batch away, for the new π would play others. Go to 1.
+  5. Lower the learning rate, evenly to 0. Throw the batch away, for the new π would play others.
+     Go to 1.
+Symbols: γ discount of later rewards; μ, σ mean and standard deviation of u. In the code, u is
+    `samples`, clipped `actions`; G is `returns`, V(s) `values`.
+Shapes: T steps of an episode; B steps of a batch; N states at a time; D numbers in s; K in u.
+Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
+    those of training, without evaluations.
 
-Why it works. The aim is a large expected reward-to-go E[G]. Let ∇ be its gradient in the weights of
-π, and look at one action u in one state, after which G(u) is to be expected. Then
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
+Look at one state, and let G(u) be the mean of all G that may follow u there. Then
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G(u) depends on π as well, through later actions. Each of those gets such a term of its own; the
-sum over all steps is the whole gradient: [1]; [2] section 13.3.) The mean over the batch estimates
-it: push up the probability of each action by how much reward followed it.
+(G(u) depends on π as well, through later actions. Each of those gets such a term of its own, and
+all are added up: [1]; [2] section 13.3.) The batch can estimate it: push up the probability of each
+action by how much reward followed it.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. A baseline takes away what all G have in
 common, and with it most of this noise. On average it changes nothing: if b does not depend on u,
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
-Small biases remain: with `mean`, G_t is a part of its own baseline; the number of steps in a batch,
-by which the means divide, depends on the actions; and step t should weigh γ^t, which is usually
-left out, as here.
+Small biases remain: with `mean`, G_t is a part of its own baseline; a mean divides by the number of
+steps, which depends on the actions, too; and step t should weigh γ^t, which is usually left out.
 
-Left out: V(s) in place of later rewards other than at a time limit, so that no episode has to be
-played to its end, and several environments at a time (a2c_vector.py adds both); several gradient
-steps on the same batch (ppo_continuous.py adds them).
+Left out: V(s) in place of rewards that are still to come, so that no episode has to be played to
+its end, and several environments at a time (a2c_vector.py adds both); several gradient steps on the
+same batch (ppo_continuous.py adds them).
 
-Symbols: γ discount of later rewards; μ, σ mean and standard deviation of u.
-Shapes: T steps of an episode; B steps of a batch; D numbers in a state; K in an action.
-Units: a `return` in tables and figures is the plain sum of an episode's raw rewards; seconds.
 References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
     Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
     [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
@@ -85,7 +90,7 @@ from tqdm import tqdm
 
 
 def parse_args(argv=None):
-    """Every knob: its name, its default, its meaning, its symbol."""
+    """All options, with defaults and symbols."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -101,7 +106,7 @@ def parse_args(argv=None):
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes of an update")
-    add("--baseline", choices=("none", "mean", "value"), default="value", help="b of step 3")
+    add("--baseline", choices=("none", "mean", "value"), default="value", help="b; value: G_T, too")
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
@@ -123,7 +128,7 @@ class Agent(nn.Module):
         self.mean = nn.Linear(32, outputs)
         self.raw_std = nn.Linear(32, outputs)
         for head in (self.mean, self.raw_std):
-            nn.init.normal_(head.weight, std=0.01)  # so μ and σ start nearly alike in all states
+            nn.init.normal_(head.weight, std=0.01)  # μ and σ start nearly alike in all states
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
         self.critic = None
@@ -134,9 +139,9 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps updates small: ∇_μ log π = (u − μ)/σ², which is about 1/σ.
+        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ², about 1/σ, from growing.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
-        return torch.distributions.Normal(self.mean(features), std, validate_args=False)
+        return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
@@ -146,10 +151,9 @@ class Agent(nn.Module):
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π (N, K), or its mean, and actions (N, K).
+        """NumPy (N, D) -> NumPy: samples u of π (N, K), or the likeliest u, and actions (N, K).
 
-        The environment gets actions, u within their range. Learning sees only u, of which π is the
-        density; for it, the clipping is a part of the environment.
+        Learning sees only u, of which π is the density, not what clipping makes of it.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         samples = policy.mode if deterministic else policy.sample()
@@ -214,12 +218,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. What counts is its gradient: a lower loss is no better policy."""
+    """−mean(A·log π); (B,) each. Only its gradient means something, its value does not."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each. Targets are data: no gradient goes through them."""
+    """½·mean((V − target)²); (B,) each."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -253,12 +257,12 @@ def train(args, seed):
     env = record_episodes(gym.make(args.env_id))
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
     agent = Agent(env.observation_space, env.action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)
+    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
     env_step = 0
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the update before
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the last update
         batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, env_step)  # 1 and 2
         diagnostics = optimise(agent, optimizer, batch, args.baseline)  # steps 3 and 4
         env_step += len(batch["obs"])
@@ -278,9 +282,9 @@ def record_episodes(env):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; runs and purposes (streams) share none.
+    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
 
-    Stream 0: networks and noise, 1: evaluation, 2 + k: environments (re)started at their step k.
+    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -366,7 +370,8 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                next_eval = min(env_step + args.total_steps / args.num_evals, args.total_steps)
+                pause = args.total_steps / args.num_evals
+                next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
             bar.set_postfix_str(
@@ -395,13 +400,15 @@ def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
     A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
-    each seed is averaged over hundredths of the run, and interpolated where it has no row.
+    each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
+    early, its last value goes on.
     """
-    files = folder.glob("**/*.csv")
+    names = ("evals.csv", "episodes.csv", "metrics.csv")
+    files = [file for file in folder.glob("**/*.csv") if file.name in names]
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
     total = data["env_step"].max()
-    data["env_step"] = np.ceil(data["env_step"] / total * 100) / 100 * total
-    data = data.groupby(["env_step", "seed"]).mean(numeric_only=True).unstack()
+    data["env_step"] = np.ceil(100 * data["env_step"] / total) / 100 * total
+    data = data.groupby(["env_step", "seed"]).mean().unstack()
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
@@ -443,9 +450,9 @@ def check(parser, argv):
     """The arguments if they can work, else one line that says why not, and exit status 2."""
     args = parser.parse_args(argv)
     path = args.watch
-    expected = Exception if path else (gym.error.Error, ImportError)
+    expected = (gym.error.Error, ImportError) if path is None else Exception
     try:
-        if path:
+        if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
             args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
@@ -455,10 +462,11 @@ def check(parser, argv):
             raise gym.error.Error(
                 "takes flat Box observations (gymnasium.wrappers.FlattenObservation) and "
                 f"Box actions (a2c_vector.py: Discrete), not {spaces}")
-        if path:
+        if path is not None:
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        parser.error(f"argument {path or '--env-id'}: {error!r}".splitlines()[0])
+        name = "--env-id" if path is None else "--watch"
+        parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed):
         parser.error(f"argument --seed: got {args.seed}, takes each once")
     return args

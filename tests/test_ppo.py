@@ -354,7 +354,7 @@ def test_each_epoch_uses_each_row_once_in_minibatches_as_large_as_asked(size, le
     assert len(np.unique(orders, axis=0)) == 3
 
 
-@pytest.mark.parametrize("size", [1, 33])
+@pytest.mark.parametrize("size", [2, 33])  # the last one of 33 is of a single row
 def test_parameters_stay_finite_whatever_the_minibatch(size):
     args, agent, batch, _ = play("Target", f"--minibatch-size {size} --epochs 2")
     ppo.optimise(agent, adam(agent, lr=1e-3), batch, args)
@@ -450,15 +450,6 @@ def test_logged_entropy_and_std_are_those_of_two_independent_gaussians():
     metrics = optimise(agent, adam(agent, lr=0), batch, args)
     assert metrics["entropy"] == pytest.approx(2 * 0.3 + math.log(2 * math.pi * math.e))
     assert metrics["policy_std"] == pytest.approx(math.exp(0.3))
-
-
-@pytest.mark.parametrize("raw_log_std", [-1e3, 1e3])
-def test_a_runaway_log_std_stays_finite(raw_log_std):
-    args, envs, obs, agent = make()
-    agent.raw_log_std.data.fill_(raw_log_std)
-    batch, _, _ = ppo.rollout(envs, agent, obs, args.rollout_steps, 0)
-    metrics = optimise(agent, adam(agent, lr=1e-3), batch, args)
-    assert all(map(math.isfinite, metrics.values()))
 
 
 # --- Normalisation --------------------------------------------------------------------------------

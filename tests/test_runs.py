@@ -8,7 +8,6 @@ import json
 import os
 import pickle
 import re
-import runpy
 import shutil
 import signal
 import sys
@@ -65,7 +64,7 @@ class Script(NamedTuple):
         """Train one seed in this process; gives its folder."""
         args = self.module.parse_args([*self.short, *map(str, arguments)])
         folder.mkdir(parents=True)
-        self.module.train(args, seed, folder / f"seed-{seed}")
+        self.module.run(args, seed, folder / f"seed-{seed}")
         return folder / f"seed-{seed}"
 
 
@@ -121,7 +120,7 @@ def alone(script, tmp_path_factory):
 def figures(monkeypatch):
     """The figures that this process would have saved, which takes a second each."""
     figures = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
     return figures
 
 
@@ -132,11 +131,11 @@ def call(monkeypatch, tmp_path, capsys, figures):
     monkeypatch.setattr(sys, "path", sys.path[:])
     capsys.readouterr()
 
-    def call(script, *arguments, status=0, main=None):
+    def call(script, *arguments, status=0):
         monkeypatch.setattr(sys, "argv", [script.file, *map(str, arguments)])
         code = 0
         try:
-            (main or script.module.main)()
+            script.module.main()
         except SystemExit as end:
             code = end.code
             if isinstance(code, str):  # what Python does with it
@@ -161,6 +160,14 @@ def steps(folder, name="metrics"):
     return pd.read_csv(folder / f"{name}.csv")["env_step"].tolist()
 
 
+def load(folder):
+    return torch.load(folder / "checkpoint.pt", weights_only=True)
+
+
+def last_learning_rate(folder):
+    return load(folder)["optimizer"]["param_groups"][0]["lr"]
+
+
 # --- Files ----------------------------------------------------------------------------------------
 
 
@@ -173,10 +180,18 @@ def test_a_run_leaves_one_new_folder_and_nothing_else(script, runs, folder):
         assert image.size[0] > 1000
 
 
-def test_tables_have_the_columns_that_the_figure_shows(script, folder):
+DIAGNOSTICS = {
+    REINFORCE: ["policy_std"],
+    A2C: ["explained_variance", "critic_gradient_norm"],
+    PPO: ["explained_variance", "policy_std", "approximate_kl", "clip_fraction"],
+}
+
+
+def test_tables_have_their_columns_and_a_number_in_each(script, folder):
+    metrics = ["policy_loss", "value_loss", "entropy", "gradient_norm", "steps_per_second"]
     columns = {
         "episodes": ["env_step", "return", "length"],
-        "metrics": ["env_step", *script.module.LABELS],
+        "metrics": ["env_step", *metrics, *DIAGNOSTICS[script]],
         "evals": ["env_step", "seconds", "return_mean", "return_std", "length_mean", "episodes"],
     }
     for name, expected in columns.items():
@@ -186,7 +201,6 @@ def test_tables_have_the_columns_that_the_figure_shows(script, folder):
         assert len(data)
         assert np.isfinite(data).all(axis=None)
         assert data["env_step"].is_monotonic_increasing
-    assert {"learning_rate", "steps_per_second"} <= set(columns["metrics"])
 
 
 def test_evaluations_are_before_training_at_its_end_and_in_between(script, folder):
@@ -206,13 +220,13 @@ def test_args_json_says_what_was_run(script, folder):
     seeds = list(script.seeds)
     assert (args["env_id"], args["seed"], args["total_steps"]) == (script.env_id, seeds, 512)
     assert args["command"] == [str(ROOT / script.file), *script.short, "--seed", *map(str, seeds)]
-    names = {"torch", "gymnasium", "numpy"} | ({"mujoco"} if script is not A2C else set())
-    assert set(args["versions"]) == names
+    assert args["versions"]["numpy"] == np.__version__
+    assert {"torch", "gymnasium", "pytest"} < set(args["versions"])  # all that is installed
     assert set(args) == {*vars(script.module.parse_args([])), "command", "versions"}
 
 
 def test_a_checkpoint_holds_all_that_training_needs(script, folder):
-    checkpoint = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)
+    checkpoint = load(folder / "seed-3")
     assert set(checkpoint) == {"args", "tables", "agent", "optimizer", "rng"}
     args = read_json(folder / "args.json")
     assert {**args, **checkpoint["args"]} == {**args, "seed": [3]}
@@ -239,27 +253,20 @@ def test_a_run_prints_its_results_and_no_warning(script, runs, folder):
     assert "nan" not in (process.out + process.err).lower()
 
 
-def test_a_log_file_stays_small(script, tmp_path, capsys, monkeypatch):
-    """In 20 seconds a bar on a terminal is drawn 200 times. Elsewhere, these would stay."""
-    monkeypatch.setattr(tqdm.std, "time", itertools.count(step=0.1).__next__)
+def test_the_bar_is_drawn_once_a_second_and_never_shows_nan(script, tmp_path, capsys, monkeypatch):
+    """More often, a log file would fill up. Here 0.4 seconds pass at each look at the clock."""
+    monkeypatch.setattr(tqdm.std, "time", itertools.count(step=0.4).__next__)
     sizes = {REINFORCE: "--batch-episodes 1"}.get(script, "--num-envs 2 --rollout-steps 2")
-    options = "--env-id", script.world("ThreeSteps"), *sizes.split(), "--total-steps", 600
+    options = "--env-id", script.world("Forever"), *sizes.split(), "--total-steps", 160
     folder = script.train(tmp_path / "run", *options, "--num-evals", 1)
-    assert len(steps(folder)) >= 150
     out, err = capsys.readouterr()
     assert out == ""
-    assert len(re.findall(r"[\r\n]", err)) <= 5
-    assert len(err) < 1000
+    assert "\n" not in err
     assert "nan" not in err
-
-
-def test_the_learning_rate_falls_with_every_update_but_not_to_0(script, folder):
-    """An update's is 1 − steps before it / steps in all, times that of the first."""
-    metrics = pd.read_csv(folder / "seed-3/metrics.csv")
-    share = metrics["env_step"].shift(fill_value=0) / 512
-    first = script.module.parse_args([]).learning_rate
-    np.testing.assert_allclose(metrics["learning_rate"], first * (1 - share))
-    assert metrics["learning_rate"].iloc[-1] > 0
+    frames = [frame for frame in err.split("\r") if "seed 3: " in frame]
+    assert 3 <= len(frames) < len(steps(folder)) / 2
+    assert ("evaluation 8, training not known yet" in err) == (script is not REINFORCE)
+    assert "evaluation 8, training 8" in frames[-1]
 
 
 def test_observations_may_be_integers(script, tmp_path):
@@ -329,15 +336,17 @@ def test_ctrl_c_ends_a_run_at_once_and_in_order(moment, stopped):
     for word in "Traceback", "KeyboardInterrupt", "Warning", "leaked", "nan":
         assert word not in process.err + process.out, process.err
     folder = run_folder(cwd)
-    lines = [f"drawing {(folder / 'learning_curve.png').relative_to(cwd)}"]
+    figure = folder / "learning_curve.png"
+    updates = any(folder.glob("*/metrics.csv"))  # else there is nothing to draw
+    lines = [f"drawing {figure.relative_to(cwd)}"] * updates
     for file in sorted(folder.glob("*/evals.csv")):
         path = file.with_name("checkpoint.pt").relative_to(cwd)
         lines += [f"return 3.0 after {steps(file.parent, 'evals')[-1]:,} steps: {path}"]
         if script is not REINFORCE:
             lines += [f"to go on: python {ROOT / script.file} --resume {path}"]
     assert re.sub(r", \d\.\d minutes", "", process.out).splitlines() == lines
-    assert len(lines) > (moment in ("training", "three seeds", "first episode"))
-    assert (folder / "learning_curve.png").exists()
+    assert figure.exists() == updates
+    assert len(lines) >= {"training": 3, "three seeds": 3, "first episode": 1}.get(moment, 0)
 
 
 @has_groups
@@ -364,34 +373,30 @@ def test_what_ctrl_c_ended_goes_on_as_the_script_says(stopped, call, tmp_path):
     assert steps(folder) == [*before, before[-1] + 128, before[-1] + 256]
 
 
-@only(A2C, PPO)
-@pytest.mark.parametrize("during", ["to_csv", "save", "replace"])
+WRITES = (pd.DataFrame, "to_csv", 6), (torch, "save", 3), (os, "replace", 10)
+
+
+@pytest.mark.parametrize(("owner", "function", "count"), WRITES)
 def test_ctrl_c_while_files_are_written_loses_nothing_that_was_saved(
-    script, during, call, tmp_path, monkeypatch
+    owner, function, count, call, tmp_path, monkeypatch
 ):
     """At the third evaluation, after a file has been opened, and with that emptied."""
-    owner = {"to_csv": pd.DataFrame, "save": torch, "replace": os}[during]
-    write, save, saves = getattr(owner, during), script.module.Log.save, []
-
-    def counted(log):
-        saves.append(1)
-        save(log)
+    write, calls = getattr(owner, function), itertools.count(1)
 
     def interrupted(*args, **kwargs):
-        if len(saves) == 3:
-            if during != "replace":
+        if next(calls) == count:
+            if owner is not os:
                 Path(args[1]).write_text("")
             raise KeyboardInterrupt
         return write(*args, **kwargs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(script.module.Log, "save", counted)
-        patch.setattr(owner, during, interrupted)
-        call(script, *script.short, "--seed", 3)
+        patch.setattr(owner, function, interrupted)
+        call(PPO, *PPO.short, "--seed", 3)
     folder = run_folder(tmp_path) / "seed-3"
-    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
-    assert [row["env_step"] for row in checkpoint["tables"]["metrics"]] == [128]
-    call(script, "--resume", folder / "checkpoint.pt")
+    assert [row["env_step"] for row in load(folder)["tables"]["metrics"]] == [128]
+    call(PPO, "--resume", folder / "checkpoint.pt")
+    assert contents(folder) == FILES
     assert steps(folder) == [128, 256, 384, 512]
     assert steps(folder, "evals") == [0, 128, 256, 384, 512]
 
@@ -409,8 +414,7 @@ def test_a_run_that_was_killed_goes_on_without_gap_or_repeat(stopped, call, tmp_
     whole = PPO.train(tmp_path / "whole", *options)
     assert steps(folder) == steps(whole) == [32 * (i + 1) for i in range(60)]
     assert steps(folder, "evals") == steps(whole, "evals")
-    rates = [pd.read_csv(x / "metrics.csv")["learning_rate"] for x in (folder, whole)]
-    np.testing.assert_allclose(*rates)
+    assert last_learning_rate(folder) == pytest.approx(last_learning_rate(whole))
     episodes = steps(folder, "episodes")
     assert episodes == sorted(episodes)
     assert len(steps(whole, "episodes")) - 4 <= len(episodes)  # 4 were going on
@@ -421,7 +425,7 @@ def test_a_run_that_was_killed_goes_on_without_gap_or_repeat(stopped, call, tmp_
 def test_a_copied_checkpoint_goes_on_in_its_own_folder_and_touches_nothing_else(
     script, folder, call, tmp_path
 ):
-    """Twice as long as it was, and the learning rate follows the new length."""
+    """The command line goes before it: twice as long, and the learning rate follows."""
     before = snapshot(folder)
     copy = tmp_path / "copy"
     copy.mkdir()
@@ -430,17 +434,15 @@ def test_a_copied_checkpoint_goes_on_in_its_own_folder_and_touches_nothing_else(
     for name, content in foreign.items():
         (copy / name).write_bytes(content)
     shutil.copy(folder / "seed-3/checkpoint.pt", copy)
-    out, _ = call(script, "--resume", copy / "checkpoint.pt", "--total-steps", 1024)
+    options = "--total-steps", 1024, "--learning-rate", 0.5
+    out, _ = call(script, "--resume", copy / "checkpoint.pt", *options)
     assert [path.name for path in tmp_path.iterdir()] == ["copy"]
     assert contents(copy) == {*FILES, *foreign}
     assert {name: content for name, content in snapshot(copy).items() if name in foreign} == foreign
     assert snapshot(folder) == before
     assert steps(copy) == [128 * (i + 1) for i in range(8)]
     assert steps(copy, "evals") == [0, 128, 256, 384, 512, 768, 1024]
-    first = script.module.parse_args([]).learning_rate
-    rates = pd.read_csv(copy / "metrics.csv")["learning_rate"]
-    np.testing.assert_allclose(rates[:4], first * (1 - np.arange(4) / 4))
-    np.testing.assert_allclose(rates[4:], first * (1 - np.arange(4, 8) / 8))
+    assert last_learning_rate(copy) == pytest.approx(0.5 / 8)
     for name in TABLES:
         old = table(folder / f"seed-3/{name}.csv")
         pd.testing.assert_frame_equal(table(copy / f"{name}.csv").head(len(old)), old)
@@ -449,31 +451,14 @@ def test_a_copied_checkpoint_goes_on_in_its_own_folder_and_touches_nothing_else(
 
 
 @only(A2C, PPO)
-def test_a_finished_run_that_is_resumed_adds_no_row(script, folder, call, tmp_path):
+def test_a_finished_run_that_is_resumed_stays_as_it_was(script, folder, call, tmp_path):
     copy = shutil.copytree(folder / "seed-3", tmp_path / "seed-3")
     call(script, "--resume", copy / "checkpoint.pt")
     for name in TABLES:
         assert (copy / f"{name}.csv").read_bytes() == (folder / f"seed-3/{name}.csv").read_bytes()
-    both = [torch.load(x / "checkpoint.pt", weights_only=True) for x in (folder / "seed-3", copy)]
-    torch.testing.assert_close(*(x["agent"] for x in both), rtol=0, atol=0)
-
-
-@only(A2C, PPO)
-def test_the_command_line_goes_before_the_checkpoint(script, folder, call, tmp_path):
-    copy = shutil.copytree(folder / "seed-3", tmp_path / "seed-3")
-    options = "--total-steps", 640, "--learning-rate", 0.5, "--eval-episodes", 3
-    call(script, "--resume", copy / "checkpoint.pt", *options)
-    assert pd.read_csv(copy / "metrics.csv")["learning_rate"].iloc[-1] == pytest.approx(0.5 / 5)
-    assert pd.read_csv(copy / "evals.csv")["episodes"].tolist()[-1] == 3
-
-
-@only(A2C, PPO)
-def test_a_renamed_copy_of_a_script_goes_on_with_the_original_s_run(script, folder, call, tmp_path):
-    copy = shutil.copytree(folder / "seed-3", tmp_path / "seed-3")
-    mine = shutil.copy(ROOT / script.file, tmp_path / "my_script.py")
-    options = "--resume", copy / "checkpoint.pt", "--total-steps", 640
-    call(script, *options, main=lambda: runpy.run_path(str(mine), run_name="__main__"))
-    assert steps(copy) == [128, 256, 384, 512, 640]
+    both = [load(x) for x in (folder / "seed-3", copy)]
+    states = ((x["agent"], x["optimizer"]["state"], x["rng"]) for x in both)
+    torch.testing.assert_close(*states, rtol=0, atol=0)
 
 
 # --- Checkpoints, watching ------------------------------------------------------------------------
@@ -502,16 +487,16 @@ def test_a_new_process_acts_like_the_one_that_trained(tmp_path, monkeypatch):
     obs, acts, paths = np.random.default_rng(0).normal(size=(100, 4)), {}, []
     np.save(tmp_path / "obs.npy", obs)
     for script in SCRIPTS.values():
-        save = script.module.Log.save
+        save = script.module.save
 
-        def save_and_act(log, script=script, save=save):
-            save(log)
+        def save_and_act(*args, script=script, save=save):
+            save(*args)
             state = torch.get_rng_state()
             torch.manual_seed(0)
-            acts[script.name] = [log.agent.act(obs, x)[1].tolist() for x in (True, False)]
+            acts[script.name] = [args[4].act(obs, x)[1].tolist() for x in (True, False)]
             torch.set_rng_state(state)
 
-        monkeypatch.setattr(script.module.Log, "save", save_and_act)
+        monkeypatch.setattr(script.module, "save", save_and_act)
         folder = script.train(tmp_path / script.name)
         paths += [script.name, folder / "checkpoint.pt"]
     (tmp_path / "act.py").write_text(ACT)
@@ -568,7 +553,7 @@ def refusal(call):
         out, err = call(script, *arguments, status=2)
         assert out == ""
         assert err.count("\n") == 1
-        assert re.match(rf"({script.file}: )?error: ", err)
+        assert err.startswith(f"{script.file}: error: ")
         return err
 
     return refusal
@@ -579,10 +564,10 @@ WRONG = [  # for every script, and what its message must contain
     ("--env-id Ant-v99", "v5"),
     ("--env-id no_such_module:Some-v0", "no_such_module"),
     ("--env-id harness:NoSuchWorld-v0", "NoSuchWorld"),
-    ("--env-id harness:DictObs-v0", "not Dict"),
+    ("--env-id harness:DictObs-v0", "FlattenObservation"),
     ("--env-id harness:Image-v0", "(8, 8, 3)"),
-    ("--env-id FrozenLake-v1", "not Discrete(16)"),
-    ("--env-id harness:ManyActions-v0", "not MultiDiscrete"),
+    ("--env-id FrozenLake-v1", "Discrete(16)"),
+    ("--env-id harness:ManyActions-v0", "MultiDiscrete"),
     ("--env-id harness:SquareActions-v0", "(2, 2)"),
     ("--seed", "argument"),
     ("--seed -1", "got -1"),
@@ -597,9 +582,9 @@ WRONG = [  # for every script, and what its message must contain
     ("--gamma -0.1", "got -0.1"),
     ("--num-evals 0", "got 0"),
     ("--eval-episodes 0", "got 0"),
-    ("--watch no/checkpoint.pt", "no/checkpoint.pt"),
+    ("--watch no/checkpoint.pt", "No such file"),
     ("--watch .", "directory"),
-    ("--watch a_file", "a_file"),
+    ("--watch a_file", "EOFError"),
     ("--watch", "argument"),
 ]
 WRONG_VECTOR = [
@@ -611,38 +596,34 @@ WRONG_VECTOR = [
     ("--gae-lambda -0.1", "got -0.1"),
     ("--entropy-coef -1", "got -1"),
     ("--max-grad-norm -1", "got -1"),
-    ("--resume no/checkpoint.pt", "no/checkpoint.pt"),
+    ("--resume no/checkpoint.pt", "No such file"),
     ("--resume .", "directory"),
 ]
 WRONG_ONLY = {
     REINFORCE: [
-        ("--env-id CartPole-v1", "a2c_vector.py takes Discrete"),
+        ("--env-id CartPole-v1", "a2c_vector.py: Discrete"),
         ("--batch-episodes 0", "got 0"),
         ("--baseline median", "median"),
     ],
     A2C: [
         *WRONG_VECTOR,
-        ("--env-id InvertedPendulum-v5", "ppo_continuous.py takes a flat, bounded Box"),
-        ("--env-id harness:Unbounded-v0", "reinforce_mujoco.py any flat Box"),
-        ("--env-id harness:ManyActions-v0", "ppo_continuous.py takes a flat, bounded Box"),
-        ("--randomize --env-id CartPole-v1", "LunarLander"),
+        ("--env-id InvertedPendulum-v5", "ppo_continuous.py: bounded Box"),
+        ("--env-id harness:Unbounded-v0", "reinforce_mujoco.py: Box"),
+        ("--env-id CartPole-v1 --randomize", "--randomize takes LunarLander"),
         ("--reward-scale -1", "got -1"),
         ("--critic-learning-rate -1", "got -1"),
     ],
     PPO: [
         *WRONG_VECTOR,
-        ("--env-id CartPole-v1", "a2c_vector.py takes Discrete"),
-        ("--env-id harness:Unbounded-v0", "reinforce_mujoco.py"),
-        ("--env-id harness:ManyActions-v0", "a2c_vector.py takes Discrete"),
+        ("--env-id CartPole-v1", "a2c_vector.py: Discrete"),
+        ("--env-id harness:Unbounded-v0", "reinforce_mujoco.py: unbounded"),
         ("--epochs 0", "got 0"),
         ("--minibatch-size 0", "got 0"),
         ("--clip-eps -0.1", "got -0.1"),
         ("--max-kl -0.1", "got -0.1"),
-        ("--value-coef -1", "got -1"),
         ("--log-std 2.1", "got 2.1"),
         ("--log-std -10.1", "got -10.1"),
         ("--std-speed 0", "got 0"),
-        ("--squash sigmoid", "sigmoid"),
     ],
 }
 
@@ -653,9 +634,10 @@ WRONG_ONLY = {
 )
 def test_a_wrong_argument_is_named_in_one_line(name, arguments, mentions, refusal, tmp_path):
     (tmp_path / "a_file").touch()
-    flag, *_ = arguments.split()
+    flag, *values = arguments.split()
+    path = values and flag in ("--watch", "--resume")
     error = refusal(SCRIPTS[name], *arguments.split())
-    assert f"error: argument {flag}: " in error.replace("--watch or --resume", flag)
+    assert f"error: argument {values[0] if path else flag}: " in error
     assert mentions in error
     assert [path.name for path in tmp_path.iterdir()] == ["a_file"]
 
@@ -693,7 +675,7 @@ def flags_for_checkpoints(script):
 def test_an_empty_path_is_no_checkpoint(script, refusal):
     """As from a shell's variable that is not set: no run must start."""
     for flag in flags_for_checkpoints(script):
-        assert flag in refusal(script, flag, "", "--total-steps", 1)
+        refusal(script, flag, "", "--total-steps", 1)
 
 
 def test_a_damaged_or_foreign_checkpoint_is_refused(script, runs, refusal, tmp_path):
@@ -704,17 +686,18 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(script, runs, refusal, tmp_p
     for flag in flags_for_checkpoints(script):
         for content in whole[: len(whole) // 2], b"", pickle.dumps([1, 2], 2), *foreign:
             checkpoint.write_bytes(content)
-            error = refusal(script, flag, checkpoint)
-            assert flag in error
-            assert str(checkpoint) in error
+            assert f"argument {checkpoint}: " in refusal(script, flag, checkpoint)
             assert checkpoint.read_bytes() == content
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.pt"]
 
 
 def test_a_checkpoint_does_not_fit_another_environment(script, folder, refusal):
     other = "Acrobot-v1" if script is A2C else "Hopper-v5"
+    checkpoint = folder / "seed-3/checkpoint.pt"
     for flag in flags_for_checkpoints(script):
-        assert flag in refusal(script, flag, folder / "seed-3/checkpoint.pt", "--env-id", other)
+        error = refusal(script, flag, checkpoint, "--env-id", other)
+        assert f"argument {checkpoint}: " in error
+        assert "size mismatch" in error
 
 
 class Malicious:
@@ -727,12 +710,12 @@ class Malicious:
 
 def test_a_checkpoint_cannot_run_code(script, folder, refusal, tmp_path):
     checkpoint, victim = tmp_path / "checkpoint.pt", tmp_path / "victim"
-    content = torch.load(folder / "seed-3/checkpoint.pt", weights_only=True)
+    content = load(folder / "seed-3")
     content["tables"] = Malicious(victim)
     for save in torch.save, lambda x, path: path.write_bytes(pickle.dumps(x, 2)):
         save(content, checkpoint)
         for flag in flags_for_checkpoints(script):
-            assert flag in refusal(script, flag, checkpoint)
+            assert f"argument {checkpoint}: " in refusal(script, flag, checkpoint)
         assert not victim.exists()
     pickle.loads(checkpoint.read_bytes())
     assert victim.exists()  # it would have
@@ -772,9 +755,7 @@ def write_bug(path):
     path.write_text(BUG.replace("SEED", str(ppo.make_seeds(2, stream=2, count=1)[0])))
 
 
-def test_a_bug_in_the_user_s_environment_is_shown_with_file_and_line(
-    call, figures, tmp_path
-):
+def test_a_bug_in_the_user_s_environment_is_shown_with_file_and_line(call, figures, tmp_path):
     """The environment is in the current folder."""
     write_bug(tmp_path / "here.py")
     options = "--total-steps", 512, "--num-evals", 4, "--seed", 2
@@ -813,16 +794,9 @@ def test_nan_and_infinity_are_named_in_one_line(script, world, call):
     out, err = call(script, *options, status=1)
     step = 1 if world == "AlwaysNaN" else 40
     message = f"error: environment 0 returned NaN or infinity at its step {step}\n"
-    assert err.count(message) == 1
+    assert re.search(rf"(\A|[\r\n]){message}\Z", err)  # on a line of its own, not behind the bar
     assert "Traceback" not in err
     assert not re.search(r"(?i)\bnan\b", out + err.replace(message, ""))
-
-
-def test_an_error_is_printed_on_a_line_of_its_own(script, call):
-    """Not behind the progress bar."""
-    options = "--env-id", script.world("TurnsNaN"), *script.small, "--total-steps", 512
-    _, err = call(script, *options, status=1)
-    assert re.search(r"(\A|[\r\n])error: environment", err)
 
 
 def test_nan_and_infinity_are_noticed_wherever_they_are(script):
@@ -842,92 +816,102 @@ def test_nan_and_infinity_are_noticed_wherever_they_are(script):
 
 @pytest.fixture
 def draw(figures):
-    """Draws a run's figure; gives its panels and, but for the threshold, the curves in them."""
+    """Draws a figure without a warning; gives its panels, the large one last."""
 
-    def draw(script, folder):
-        script.module.plot(folder, script.env_id)
-        panels = figures.pop().axes
-        lines = [line for panel in panels for line in panel.lines]
-        curves = [line for line in lines if line.get_label() != "counts as solved"]
-        assert len(lines) - len(curves) == 1
-        return panels, curves
+    def draw(script, folder, env_id="harness:ThreeSteps-v0"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            for category in DeprecationWarning, PendingDeprecationWarning, FutureWarning:
+                warnings.simplefilter("ignore", category)
+            script.module.plot(folder, env_id)
+        return figures.pop().axes
 
     return draw
 
 
-def write_tables(script, folder, at):
-    """Tables with rows at the steps `at`; each value is the step itself."""
-    folder.mkdir(parents=True)
-    columns = {"evals": ["return_mean"], "episodes": ["return"], "metrics": script.module.LABELS}
-    for name, labels in columns.items():
-        rows = pd.DataFrame({"env_step": at, **dict.fromkeys(labels, at)})
+def curves(panels):
+    return [line.get_xydata().T for panel in panels for line in panel.lines]
+
+
+def labels(top):
+    return [text.get_text() for text in top.get_legend().get_texts()]
+
+
+def write_tables(folder, at, values):
+    """Tables with rows at the steps `at`, and the same `values` in each column."""
+    folder.mkdir()
+    columns = {"evals": ["return_mean"], "episodes": ["return"], "metrics": ["some_loss", "speed"]}
+    for name, column in columns.items():
+        rows = pd.DataFrame({"env_step": at, **dict.fromkeys(column, values)})
         rows.to_csv(folder / f"{name}.csv", index=False)
 
 
-def test_the_figure_has_a_panel_for_each_column(script, alone, draw):
-    panels, curves = draw(script, alone.parent)
-    titles = [panel.get_title() for panel in panels]
-    assert set(script.module.LABELS.values()) < set(titles)
-    assert f"{script.env_id}, one seed" in titles
-    assert len(curves) == 2 + len(script.module.LABELS)
-    assert len(panels) == 1 + len(script.module.LABELS)  # both returns in one
-    evals = pd.read_csv(alone / "evals.csv")
-    assert curves[0].get_xdata().tolist() == evals["env_step"].tolist()
-    assert curves[0].get_ydata().tolist() == evals["return_mean"].tolist()
+def test_the_figure_has_a_large_panel_for_returns_and_one_for_each_metric(script, alone, draw):
+    *small, top = draw(script, alone.parent, script.env_id)
+    metrics = pd.read_csv(alone / "metrics.csv").drop(columns="env_step")
+    assert [panel.get_ylabel() for panel in small] == [x.replace("_", " ") for x in metrics]
+    assert top.get_title().startswith(f"{script.env_id}, seeds: 1 ")
+    evaluation, training, solved = (text.partition(",")[0] for text in labels(top))
+    assert (evaluation, training, solved) == ("evaluation", "training", "counts as solved")
+    assert set(top.lines[2].get_ydata()) == {gym.spec(script.env_id).reward_threshold}
+    last = [*metrics.iloc[-1], pd.read_csv(alone / "evals.csv")["return_mean"].iloc[-1]]
+    np.testing.assert_allclose([y[-1] for _, y in curves([*small, top])[:-2]], last)
+    *below, large = (panel.get_subplotspec() for panel in (*small, top))
+    assert min(place.rowspan.start for place in below) == large.rowspan.stop
+    assert len({(place.rowspan, place.colspan) for place in below}) == len(small)
 
 
-def test_the_mean_over_seeds_is_of_their_last_values(script, draw, tmp_path):
-    """From the step on at which each has one; the band is ± 1.96 standard errors."""
-    for seed, at in enumerate(([0, 10, 20], [0, 15, 30], [5, 10, 25])):
-        write_tables(script, tmp_path / f"seed-{seed}", at)
-    panels, curves = draw(script, tmp_path)
-    assert any("mean and 95% interval of 3 seeds" in panel.get_title() for panel in panels)
-    assert len(curves) == 2 + len(script.module.LABELS)
-    last = {5: (0, 0, 5), 10: (10, 0, 10), 15: (10, 15, 10), 20: (20, 15, 10), 25: (20, 15, 25),
-            30: (20, 30, 25)}
-    for curve in curves:
-        assert curve.get_xdata().tolist() == list(last)
-        np.testing.assert_allclose(curve.get_ydata(), [np.mean(x) for x in last.values()])
-    (band, *_), error = panels[0].collections, 1.96 * np.std((20, 30, 25), ddof=1) / 3**0.5
-    top = band.get_paths()[0].vertices
-    assert top[top[:, 0] == 30, 1].max() == pytest.approx(25 + error)
+def test_a_curve_is_the_mean_over_seeds_interpolated_where_one_has_no_row(draw, tmp_path):
+    """The band is ± 1.96 standard errors. A seed that ended earlier keeps its last value."""
+    seeds = [([0, 100, 700], [0, 5, 8]), ([0, 300, 1000], [6, 3, 0]), ([0, 550, 1000], [1, 1, 9])]
+    for i, (at, values) in enumerate(seeds):
+        write_tables(tmp_path / f"seed-{i}", at, values)
+    *small, top = draw(PPO, tmp_path)
+    assert "seeds: 3 " in top.get_title()
+    assert [len(panel.lines) for panel in (*small, top)] == [1, 1, 2]
+    x = [0, 100, 300, 550, 700, 1000]
+    each = [np.interp(x, *seed) for seed in seeds]
+    mean, error = np.mean(each, axis=0), 1.96 * np.std(each, axis=0, ddof=1) / 3**0.5
+    for curve in curves([*small, top]):
+        np.testing.assert_allclose(curve, [x, mean])
+    for band in (band for panel in (*small, top) for band in panel.collections):
+        edges = pd.DataFrame(band.get_paths()[0].vertices.round(6)).groupby(0)[1]
+        np.testing.assert_allclose(edges.min(), mean - error, atol=1e-5)
+        np.testing.assert_allclose(edges.max(), mean + error, atol=1e-5)
 
 
-def test_a_curve_is_smoothed_over_a_fiftieth_of_its_rows(script, draw, tmp_path):
-    write_tables(script, tmp_path / "seed-1", range(0, 1000, 10))
-    for curve in draw(script, tmp_path)[1]:
-        np.testing.assert_allclose(curve.get_ydata(), [0, 5, *range(10, 990, 10)])  # means of 3
+@pytest.mark.parametrize("length", [1000, 1004])
+def test_a_curve_is_of_means_over_hundredths_of_the_run_the_last_one_whole(length, draw, tmp_path):
+    at = np.arange(1, length + 1)
+    write_tables(tmp_path / "seed-1", at, at)
+    hundredth = -(-100 * at // length)
+    means = pd.Series(at).groupby(hundredth).mean()
+    for curve in curves(draw(PPO, tmp_path)):
+        np.testing.assert_allclose(curve, [means.index * length / 100, means])
 
 
-def test_a_run_without_rows_of_some_kind_is_drawn(script, draw, tmp_path):
-    """One update, in which no episode has to end but in REINFORCE; and a run that just began."""
-    env_id = {REINFORCE: script.env_id, A2C: "CartPole-v1", PPO: "HalfCheetah-v5"}[script]
-    options = ["--env-id", env_id, "--total-steps", 8, "--eval-episodes", 1]
-    options += {REINFORCE: ["--batch-episodes", 1]}.get(script, ["--rollout-steps", 2])
-    folder = script.train(tmp_path / "run", *options)
-    tables = set(TABLES) - (set() if script is REINFORCE else {"episodes"})
-    assert contents(folder) == {"checkpoint.pt", *(f"{name}.csv" for name in tables)}
+def test_one_update_in_which_no_episode_ended_is_drawn(draw, tmp_path):
+    options = "--env-id", PPO.world("Forever"), "--rollout-steps", 2, "--total-steps", 8
+    folder = PPO.train(tmp_path / "run", *options)
+    assert contents(folder) == FILES - {"episodes.csv"}
     assert len(steps(folder)) == 1
-    _, curves = draw(script, folder.parent)
-    assert len(curves) == len(script.module.LABELS) + len(tables) - 1
-    (tmp_path / "nothing").mkdir()
-    panels, curves = draw(script, tmp_path / "nothing")
-    assert (len(panels), len(curves)) == (1 + len(script.module.LABELS), 0)
+    *small, top = draw(PPO, folder.parent)
+    assert all(len(panel.lines) == 1 for panel in small)
+    assert labels(top) == ["evaluation, deterministic actions"]
 
 
 # --- Learning -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("squash", ["tanh", "clip"])
-def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
-    options = f"--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --squash {squash}"
+def test_it_finds_the_best_action_in_an_asymmetric_box(tmp_path):
+    options = "--env-id harness:Target-v0 --total-steps 8192 --num-envs 8"
     options += " --rollout-steps 64 --minibatch-size 64 --learning-rate 3e-3 --log-std -1.5"
     args = ppo.parse_args([*options.split(), "--num-evals", "1"])
-    ppo.train(args, 1, tmp_path)
+    ppo.run(args, 1, tmp_path)
     assert pd.read_csv(tmp_path / "evals.csv")["return_mean"].iloc[-1] > -0.03
     env = gym.make(args.env_id)
     agent = ppo.Agent(env.observation_space, env.action_space, args)
-    agent.load_state_dict(torch.load(tmp_path / "checkpoint.pt", weights_only=True)["agent"])
+    agent.load_state_dict(load(tmp_path)["agent"])
     _, actions = agent.act(np.float32([[0, 0], [0.5, 0]]), deterministic=True)
     assert np.abs(actions - TARGET).max() < 0.2
 
@@ -935,7 +919,7 @@ def test_it_finds_the_best_action_in_an_asymmetric_box(squash, tmp_path):
 def test_it_learns_to_balance_a_pole(tmp_path):
     options = "--env-id InvertedPendulum-v5 --total-steps 24576 --num-envs 8 --rollout-steps 128"
     options += " --minibatch-size 128 --num-evals 1"
-    ppo.train(ppo.parse_args(options.split()), 1, tmp_path)
+    ppo.run(ppo.parse_args(options.split()), 1, tmp_path)
     assert pd.read_csv(tmp_path / "evals.csv")["return_mean"].iloc[-1] > 300
     episodes = pd.read_csv(tmp_path / "episodes.csv")["return"]
     assert episodes[-20:].mean() > 5 * episodes[:20].mean()
@@ -968,7 +952,7 @@ def test_requirements_txt_is_what_the_scripts_ask_for_and_pytest():
 # named, the other two are alike.
 DIFFERENT = {
     "Agent": None, "check": None, "optimise": None, "parse_args": None, "train": None,
-    "main": REINFORCE, "rollout": REINFORCE, "policy_loss": PPO,
+    "main": REINFORCE, "rollout": REINFORCE, "run": REINFORCE, "policy_loss": PPO,
 }
 
 
@@ -980,7 +964,7 @@ def test_functions_of_the_same_name_have_the_same_source():
             if isinstance(node, ast.FunctionDef | ast.ClassDef):
                 source = ast.get_source_segment(text, node)
                 sources.setdefault(node.name, {})[script.name] = source
-    assert {"Log", "evaluate", "plot", "draw", "make_folder", "train_seeds"} <= set(sources)
+    assert {"evaluate", "run", "save", "plot", "make_folder", "train_seeds"} <= set(sources)
     for name, versions in sources.items():
         odd = DIFFERENT.get(name)
         expected = 1 if name not in DIFFERENT else len(versions) if odd is None else 2
