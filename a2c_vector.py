@@ -568,7 +568,7 @@ def check(parser, argv):
         if path is not None:
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        name = "--env-id" if path is None else "--watch or --resume"
+        name = "--env-id" if path is None else f"--watch or --resume: {path}"
         parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")

@@ -465,7 +465,7 @@ def check(parser, argv):
         if path is not None:
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
-        name = "--env-id" if path is None else "--watch"
+        name = "--env-id" if path is None else f"--watch: {path}"
         parser.error(f"argument {name}: {error!r}".splitlines()[0])
     if len(set(args.seed)) < len(args.seed):
         parser.error(f"argument --seed: got {args.seed}, takes each once")

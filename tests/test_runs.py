@@ -559,6 +559,11 @@ def refusal(call):
     return refusal
 
 
+def of(script, path):
+    """What an error line calls a checkpoint."""
+    return f"--watch{'' if script.name == REINFORCE.name else ' or --resume'}: {path}"
+
+
 WRONG = [  # for every script, and what its message must contain
     ("--env-id InvertedPendlum-v5", "Did you mean: `InvertedPendulum`"),
     ("--env-id Ant-v99", "v5"),
@@ -637,7 +642,7 @@ def test_a_wrong_argument_is_named_in_one_line(name, arguments, mentions, refusa
     flag, *values = arguments.split()
     path = values and flag in ("--watch", "--resume")
     error = refusal(SCRIPTS[name], *arguments.split())
-    assert f"error: argument {values[0] if path else flag}: " in error
+    assert f"error: argument {of(SCRIPTS[name], values[0]) if path else flag}: " in error
     assert mentions in error
     assert [path.name for path in tmp_path.iterdir()] == ["a_file"]
 
@@ -686,7 +691,7 @@ def test_a_damaged_or_foreign_checkpoint_is_refused(script, runs, refusal, tmp_p
     for flag in flags_for_checkpoints(script):
         for content in whole[: len(whole) // 2], b"", pickle.dumps([1, 2], 2), *foreign:
             checkpoint.write_bytes(content)
-            assert f"argument {checkpoint}: " in refusal(script, flag, checkpoint)
+            assert f"argument {of(script, checkpoint)}: " in refusal(script, flag, checkpoint)
             assert checkpoint.read_bytes() == content
     assert [path.name for path in tmp_path.iterdir()] == ["checkpoint.pt"]
 
@@ -696,7 +701,7 @@ def test_a_checkpoint_does_not_fit_another_environment(script, folder, refusal):
     checkpoint = folder / "seed-3/checkpoint.pt"
     for flag in flags_for_checkpoints(script):
         error = refusal(script, flag, checkpoint, "--env-id", other)
-        assert f"argument {checkpoint}: " in error
+        assert f"argument {of(script, checkpoint)}: " in error
         assert "size mismatch" in error
 
 
@@ -715,7 +720,7 @@ def test_a_checkpoint_cannot_run_code(script, folder, refusal, tmp_path):
     for save in torch.save, lambda x, path: path.write_bytes(pickle.dumps(x, 2)):
         save(content, checkpoint)
         for flag in flags_for_checkpoints(script):
-            assert f"argument {checkpoint}: " in refusal(script, flag, checkpoint)
+            assert f"argument {of(script, checkpoint)}: " in refusal(script, flag, checkpoint)
         assert not victim.exists()
     pickle.loads(checkpoint.read_bytes())
     assert victim.exists()  # it would have
