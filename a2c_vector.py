@@ -14,7 +14,7 @@
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
 It learns to land on the moon: a return of 232, where 200 counts as solved, after 1,000,000 steps
-and 70 seconds. `--help` lists all options; each call leaves a folder in `runs`.
+and 70 seconds. `--help` lists all options; each training leaves a folder in `runs`.
 
     python a2c_vector.py --seed 1 2 3 4 5
 
@@ -48,12 +48,13 @@ or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a l
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
 Look at one state, and let G(u) be the return to be expected after action u there. Then
     ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-(G depends on π as well, through later actions. Each of those gets such a term of its own, and all
-are added up; that of step t should weigh γ^t, which is usually left out.) The rollout can estimate
-it: push up the probability of each action by how much followed it. A number b may be subtracted
-from G if it does not depend on the action, for E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0.
-With b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the
-same gradient on average, but less noise. A estimates it.
+(By the product rule there is also Σ_u π·∇G, for G is r plus γ times the expected return from the
+next state on. That is the same gradient there, times γ; and so on. So each step adds a term, that
+of step t with weight γ^t, which is usually left out, as here.) The rollout can estimate it: push
+up the probability of each action by how much followed it. A number b may be subtracted from G if
+it does not depend on the action, for E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With
+b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the same
+gradient on average, but less noise. A estimates it.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
 episode has to be played to its end; many environments at a time, before long each at another point
@@ -62,8 +63,7 @@ Left out: workers that do not wait for each other ([1]); shared layers; images; 
 
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
-    al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization for
-    Transferring Deep Neural Networks from Simulation to the Real World.
+    al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization…
     [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances.
 """
 
@@ -97,7 +97,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
+    devices = ("cpu", "cuda", "mps") if torch.accelerator.is_available() else ("cpu",)
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
     add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
@@ -164,7 +164,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
     A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
-    an output gain of 0.01 π starts nearly alike in all states, and favours no action.
+    an output gain of 0.01 π starts nearly alike in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -174,7 +174,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), what normalises states."""
+    """The actor π(u|s), the critic V(s), what normalises states."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -264,12 +264,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Only its gradient means something, its value does not."""
+    """−mean(A·log π); (B,) each. Made for its gradient: minus that of E[G]. It need not fall."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each."""
+    """½·mean((V − target)²), over all rows given."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -314,7 +314,7 @@ def train(args, seed):
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
-    # gradients move a weight as far as large ones do; 1e-5 keeps them small.
+    # gradients move a weight as far as large ones do; with 1e-5 they do not.
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
     optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
     env_step = resume(args.resume, agent, optimizer) if args.resume else 0

@@ -15,7 +15,7 @@
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
 It learns to balance a double pendulum: a return of 9,325, of about 9,350 possible, after 150,000
-steps and 20 seconds. `--help` lists all options; each call leaves a folder in `runs`.
+steps and 20 seconds. `--help` lists all options; each training leaves a folder in `runs`.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 
@@ -35,7 +35,7 @@ discounted sum of the rewards that follow s_t. Both see s normalised, with a run
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
      its gradient shortened to max_grad_norm if it is longer.
   6. Update the mean and std that normalise s. Lower the learning rate, evenly to 0. Go to 1.
-Symbols: γ discount; ε clip range; H = −E[log π] entropy, large if π is undecided; c_H its weight;
+Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if π is undecided, weight c_H;
     μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
 Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
@@ -51,15 +51,16 @@ or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a l
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
 Look at one state, and let G(u) be the return to be expected after action u there. Then
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G depends on π as well, through later actions. Each of those gets such a term of its own, and all
-are added up; that of step t should weigh γ^t, which is usually left out.) The rollout can estimate
-it: push up the probability of each action by how much followed it. A number b may be subtracted
-from G if it does not depend on the action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0.
-With b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the
-same gradient on average, but less noise. A estimates it.
-PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ:
-E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du. The farther π is from π_old, the noisier this
-estimate, and the states are still those of π_old. So KL limit and clip keep π close to π_old.
+(By the product rule there is also ∫π·∇G du, for G is r plus γ times the expected return from the
+next state on. That is the same gradient there, times γ; and so on. So each step adds a term, that
+of step t with weight γ^t, which is usually left out, as here.) The rollout can estimate it: push
+up the probability of each action by how much followed it. A number b may be subtracted from G if
+it does not depend on the action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With
+b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the same
+gradient on average, but less noise. A estimates it.
+PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ, for
+E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du has the gradient ∫∇π·A du. The farther π is from π_old,
+the noisier this is, and the states are still those of π_old. So KL limit and clip keep π close.
 
 = A2C (a2c_vector.py) plus: continuous actions, a running reward scale (step 2), several epochs of
 minibatches, the KL limit, ρ and its clip (step 5). Left out: recurrent networks, images.
@@ -100,7 +101,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
+    devices = ("cpu", "cuda", "mps") if torch.accelerator.is_available() else ("cpu",)
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
     add("--total-steps", type=number(int, 1), default=150_000, help="environment steps, at least")
@@ -170,7 +171,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
     """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
 
     A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
-    an output gain of 0.01 π starts nearly alike in all states, and favours no action.
+    an output gain of 0.01 π starts nearly alike in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -183,8 +184,8 @@ class Agent(nn.Module):
     """The actor π(u|s) = N(μ(s), σ²), the critic V(s), what normalises states and rewards.
 
     σ (K,) is the same in every state. Its parameter is log σ / std_speed: Adam moves a parameter by
-    about the learning rate, whatever its gradient, and so log σ by about std_speed times that.
-    Below 1, σ shrinks later, and exploring goes on after the first success.
+    about the learning rate, unless its gradient is tiny, and so log σ by std_speed times that. Far
+    from μ better actions are found. Once μ is good, σ shrinks; below 1, std_speed delays that.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -264,9 +265,9 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
     V predicts the discounted sum of the rewards to come. F is that of an episode's rewards so far,
-    which is known at once and varies about as much. No mean is subtracted: it would make a reward
-    of 1 for each step a 0. `past_return` (N,) is F after the last rollout; returned with the
-    rewards is F after this one, 0 where an episode ended.
+    which is known at once and varies about as much. The mean of r is not subtracted: that would
+    make a reward of 1 for each step a 0. `past_return` (N,) is F after the last rollout. Returned
+    with the rewards is F after this one, 0 where an episode ended.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -307,7 +308,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each."""
+    """½·mean((V − target)²), over all rows given."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -371,7 +372,7 @@ def train(args, seed):
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
-    # gradients move a weight as far as large ones do; 1e-5 keeps them small.
+    # gradients move a weight as far as large ones do; with 1e-5 they do not.
     optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
     env_step = resume(args.resume, agent, optimizer) if args.resume else 0
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))

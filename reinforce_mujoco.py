@@ -15,7 +15,7 @@
 """REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
 It learns to balance a pole on a cart: a return of 1000, one for each step that it stands, of 1000
-possible, after 190,000 steps and half a minute. `--help` lists all options; each call leaves a
+possible, after 190,000 steps and half a minute. `--help` lists all options; each training leaves a
 folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
@@ -26,18 +26,19 @@ on until the episode ends after T steps.
   1. Play a few episodes with π, the batch:  u_t ~ Normal(μ(s_t), σ(s_t)).
   2. G_t = r_t + γ·G_{t+1}   the reward-to-go: the discounted rewards that u_t can affect.
      G_T = 0 if the task ended there (the pole fell). If only time ran out, rewards could have
-     followed: then G_T = V(s_T) with --baseline value ([3]), and 0, which is too low, without it.
+     followed: then G_T = V(s_T) with --baseline value ([3]); without it 0, which is too low here.
   3. A_t = G_t − b_t   the advantage over a baseline b, which --baseline chooses:
        none   b_t = 0
        mean   b_t = the mean of G over the batch; A is also divided by the batch's std of G,
-              so that the unit of rewards does not matter
+              so that it has the same size in every batch
        value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
   4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over the batch.
      (Without a critic V = 0, and the second part is a constant.)
   5. Lower the learning rate, evenly to 0. Throw the batch away, for the new π would play others.
      Go to 1.
-Symbols: γ discount of later rewards; μ, σ mean and standard deviation of u. In the code, u is
-    `samples`, clipped `actions`; G is `returns`, V(s) `values`.
+Symbols: γ discount: G looks about 1/(1 − γ) = 50 steps ahead, and so varies less than a plain sum;
+    μ, σ mean and standard deviation of u. In the code, u is `samples`, clipped `actions`; G is
+    `returns`, V(s) `values`.
 Shapes: T steps of an episode; B steps of a batch; N states at a time; D numbers in s; K in u.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
     those of training, without evaluations.
@@ -45,19 +46,21 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
 Look at one state, and let G(u) be the mean of all G that may follow u there. Then
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G(u) depends on π as well, through later actions. Each of those gets such a term of its own, and
-all are added up: [1]; [2] section 13.3.) The batch can estimate it: push up the probability of each
-action by how much reward followed it.
+(By the product rule there is also ∫π·∇G du, for G is r plus γ times the expected G of the next
+state. That is the same gradient there, times γ; and so on. So each step adds a term, that of step t
+with weight γ^t, which is usually left out, as here, so that late steps count like early ones: [1];
+[2] section 13.3.) The batch can estimate it: push up the probability of each action by how much
+reward followed it.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. A baseline takes away what all G have in
 common, and with it most of this noise. On average it changes nothing: if b does not depend on u,
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
 Small biases remain: with `mean`, G_t is a part of its own baseline; a mean divides by the number of
-steps, which depends on the actions, too; and step t should weigh γ^t, which is usually left out.
+steps, which depends on the actions, too; and G_T is a guess where time ran out.
 
-Left out: V(s) in place of rewards that are still to come, so that no episode has to be played to
-its end, and several environments at a time (a2c_vector.py adds both); several gradient steps on the
-same batch (ppo_continuous.py adds them).
+Left out: V(s) in place of rewards still to come also where time did not run out, so that no episode
+has to be played to its end, and several environments at a time (a2c_vector.py adds both); several
+gradient steps on the same batch (ppo_continuous.py adds them).
 
 References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
     Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
@@ -94,7 +97,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    devices = [name for name in ("cpu", "cuda", "mps") if getattr(torch, name).is_available()]
+    devices = ("cpu", "cuda", "mps") if torch.accelerator.is_available() else ("cpu",)
     add = parser.add_argument_group("run").add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
     add("--total-steps", type=number(int, 1), default=190_000, help="environment steps, at least")
@@ -218,12 +221,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Only its gradient means something, its value does not."""
+    """−mean(A·log π); (B,) each. Made for its gradient: minus that of E[G]. It need not fall."""
     return -(advantages * log_probs).mean()
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²); (B,) each."""
+    """½·mean((V − target)²), over all rows given."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -500,7 +503,7 @@ def main():
     try:
         train_seeds(args, folders)
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # other seeds, or environments
+        for process in multiprocessing.active_children():  # the other seeds
             process.terminate()
     finally:
         if any(folder.glob("**/metrics.csv")):
