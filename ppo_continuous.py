@@ -183,9 +183,9 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 class Agent(nn.Module):
     """The actor π(u|s) = N(μ(s), σ²), the critic V(s), what normalises states and rewards.
 
-    σ (K,) is the same in every state. Its parameter is log σ / std_speed: Adam moves a parameter by
-    about the learning rate, unless its gradient is tiny, and so log σ by std_speed times that. Far
-    from μ better actions are found. Once μ is good, σ shrinks; below 1, std_speed delays that.
+    σ (K,) is the same in every state. Its parameter is log σ / std_speed. Adam moves a parameter by
+    about the learning rate, so log σ by std_speed times that: below 1, σ shrinks later, and better
+    actions far from μ are still found.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -211,14 +211,14 @@ class Agent(nn.Module):
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π, or the likeliest u, and actions a = g(u); (N, K).
+        """NumPy (N, D) -> NumPy: samples u of π, or the mean μ, and actions a = g(u); (N, K).
 
-        g is tanh, stretched from (−1, 1) to (low, high). PPO needs only the density of u: that of a
-        has the factor 1/|g'(u)| besides, the same for π and π_old, so it cancels in ρ.
+        g is tanh, stretched to (low, high). In the density of a, its factor 1/|g'(u)| cancels in ρ.
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
-        samples = policy.mode if deterministic else policy.sample()
+        noise = 0.0 if deterministic else torch.randn_like(policy.mean)
+        samples = policy.mean + policy.stddev * noise
         actions = torch.lerp(self.low, self.high, (torch.tanh(samples) + 1) / 2)
         return samples.cpu().numpy(), actions.cpu().numpy()
 
@@ -264,10 +264,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
 def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
-    V predicts the discounted sum of the rewards to come. F is that of an episode's rewards so far,
-    which is known at once and varies about as much. The mean of r is not subtracted: that would
-    make a reward of 1 for each step a 0. `past_return` (N,) is F after the last rollout. Returned
-    with the rewards is F after this one, 0 where an episode ended.
+    F, of the rewards so far, is known at once and varies about as much as what V predicts. The mean
+    of r is not subtracted: a reward of 1 for each step would become 0. `past_return` (N,) is F of
+    the last rollout, 0 where an episode ended. Returned with the rewards is F of this one.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):

@@ -154,12 +154,13 @@ class Agent(nn.Module):
 
     @torch.inference_mode()
     def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples u of π (N, K), or the likeliest u, and actions (N, K).
+        """NumPy (N, D) -> NumPy: samples u of π (N, K), or the mean μ, and actions (N, K).
 
         Learning sees only u, of which π is the density, not what clipping makes of it.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        samples = policy.mode if deterministic else policy.sample()
+        noise = 0.0 if deterministic else torch.randn_like(policy.mean)
+        samples = policy.mean + policy.stddev * noise
         actions = samples.clamp(self.low, self.high)
         return samples.cpu().numpy(), actions.cpu().numpy()
 
