@@ -13,8 +13,8 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-It learns to land on the moon: a return of 220, where 200 counts as solved, after 1,000,000 steps
-and 70 seconds. `--help` lists all options; each training leaves a folder in `runs`.
+It learns to land on the moon: a return of 220, where 200 counts as solved, after 1,000,000 steps,
+in a minute and a half. `--help` lists all options; each training leaves a folder in `runs`.
 
     python a2c_vector.py --seed 1 2 3 4 5
 

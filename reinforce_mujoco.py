@@ -15,8 +15,8 @@
 """REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
 It learns to balance a pole on a cart: a return of 1000, one for each step that it stands, of 1000
-possible, after 190,000 steps and half a minute. `--help` lists all options; each training leaves a
-folder in `runs`.
+possible, after 190,000 steps, in less than a minute. `--help` lists all options; each training
+leaves a folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
 
