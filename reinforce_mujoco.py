@@ -417,7 +417,7 @@ def plot(folder, env_id):
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
     curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
-    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.8)
+    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.7)
     figure = Figure(figsize=(12, 12), layout="constrained")
     for panel, column in enumerate(diagnostics, start=13):
         sns.lineplot(**curve, y=column, ax=figure.add_subplot(6, 4, panel))
