@@ -110,14 +110,14 @@ def parse_args(argv=None):
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
-    add("--randomize", action="store_true", help="LunarLander: train in ever new physics")
+    add("--randomize", action="store_true", help="LunarLander: train with changing physics")
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=32, help="steps of each environment, T")
     add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="that of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0: bias, 1: variance, λ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 rewards, λ")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
@@ -269,7 +269,7 @@ def policy_loss(log_probs, advantages):
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²), over all rows given."""
+    """½·mean((V − target)²); (…,) each -> ()."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -308,7 +308,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed):
-    """Train one seed. Yields what there is to write down, at the start and after each update."""
+    """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
@@ -342,7 +342,7 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
+    """Sums up each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
@@ -444,7 +444,9 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    seconds, next_eval = 0.0, 0
+    pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
+    next_eval = 0
+    seconds = 0.0
     start = time.perf_counter()
     if args.resume:
         tables = torch.load(args.resume, "cpu", weights_only=True)["tables"]
@@ -461,7 +463,6 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                pause = args.total_steps / args.num_evals
                 next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
@@ -485,7 +486,10 @@ def save(args, seed, folder, tables, agent, optimizer):
 
 
 def resume(path, agent, optimizer):
-    """Bring back what a checkpoint holds; its environment steps. Unfinished episodes are lost."""
+    """Bring back agent, optimizer and noise; returns the environment steps that they took.
+
+    Episodes that were going on are lost.
+    """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])

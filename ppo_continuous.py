@@ -120,14 +120,14 @@ def parse_args(argv=None):
     add("--minibatch-size", type=number(int, 2), default=512, help="steps of a minibatch, M")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0: bias, 1: variance, λ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 rewards, λ")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="of log σ, against all weights")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; all else has 1")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -181,7 +181,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 
 
 class Agent(nn.Module):
-    """The actor π(u|s) = N(μ(s), σ²), the critic V(s), what normalises states and rewards.
+    """The actor π(u|s) = Normal(μ(s), σ), the critic V(s), what normalises states and rewards.
 
     σ (K,) is the same in every state. Its parameter is log σ / std_speed. Adam moves a parameter by
     about the learning rate, so log σ by std_speed times that: below 1, σ shrinks later, and better
@@ -307,7 +307,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²), over all rows given."""
+    """½·mean((V − target)²); (…,) each -> ()."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -365,7 +365,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed):
-    """Train one seed. Yields what there is to write down, at the start and after each update."""
+    """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     envs = make_envs(args)
@@ -399,7 +399,7 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
+    """Sums up each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
@@ -485,7 +485,9 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    seconds, next_eval = 0.0, 0
+    pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
+    next_eval = 0
+    seconds = 0.0
     start = time.perf_counter()
     if args.resume:
         tables = torch.load(args.resume, "cpu", weights_only=True)["tables"]
@@ -502,7 +504,6 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                pause = args.total_steps / args.num_evals
                 next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
@@ -526,7 +527,10 @@ def save(args, seed, folder, tables, agent, optimizer):
 
 
 def resume(path, agent, optimizer):
-    """Bring back what a checkpoint holds; its environment steps. Unfinished episodes are lost."""
+    """Bring back agent, optimizer and noise; returns the environment steps that they took.
+
+    Episodes that were going on are lost.
+    """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
     optimizer.load_state_dict(checkpoint["optimizer"])

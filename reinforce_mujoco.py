@@ -122,7 +122,7 @@ def parse_args(argv=None):
 
 
 class Agent(nn.Module):
-    """The policy π(u|s) = N(μ(s), σ(s)²) over u (…, K) and, with --baseline value, V(s)."""
+    """The policy π(u|s) = Normal(μ(s), σ(s)), u (…, K), and, with --baseline value, V(s)."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -227,7 +227,7 @@ def policy_loss(log_probs, advantages):
 
 
 def value_loss(values, targets):
-    """½·mean((V − target)²), over all rows given."""
+    """½·mean((V − target)²); (…,) each -> ()."""
     return ((values - targets) ** 2).mean() / 2
 
 
@@ -255,13 +255,13 @@ def optimise(agent, optimizer, batch, baseline):
 
 
 def train(args, seed):
-    """Train one seed. Yields what there is to write down, at the start and after each update."""
+    """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
     torch.manual_seed(*make_seeds(seed, stream=0, count=1))
     env = record_episodes(gym.make(args.env_id))
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
     agent = Agent(env.observation_space, env.action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
+    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)
     env_step = 0
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
@@ -281,7 +281,7 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode in its last info, and ends it after 10,000 steps at the latest."""
+    """Sums up each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
@@ -360,7 +360,9 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    seconds, next_eval = 0.0, 0
+    pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
+    next_eval = 0
+    seconds = 0.0
     start = time.perf_counter()
     with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
               position=position, leave=False, mininterval=1) as bar:
@@ -374,7 +376,6 @@ def run(args, seed, folder, position=0):
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                pause = args.total_steps / args.num_evals
                 next_eval = min((env_step // pause + 1) * pause, args.total_steps)
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
