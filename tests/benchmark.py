@@ -7,10 +7,11 @@ import math
 import multiprocessing
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium as gym
@@ -29,15 +30,30 @@ PPO, A2C, REINFORCE = ppo.__name__, a2c.__name__, reinforce.__name__
 SCRIPTS = {PPO: ppo, A2C: a2c, REINFORCE: reinforce}
 DEFAULTS = {name: vars(script.parse_args([])) for name, script in SCRIPTS.items()}
 STEPS = {name: {x["env_id"]: x["total_steps"]} for name, x in DEFAULTS.items()}
-STEPS[PPO] |= {f"{name}-v5": 1_000_000 for name in (  # the table of environments
-    "HalfCheetah", "Hopper", "Walker2d", "Ant", "Swimmer", "Reacher", "InvertedPendulum")}
+# The highest mean of several seeds that was published for PPO after a million steps, on -v1 to -v4
+# of these environments. [1]: the PPO paper, [2]: Kostrikov's PPO (both read off figures, as listed
+# by Tianshou), [3]: Tianshou's PPO (its data at 1.01 million steps, sampled actions), [4]: OpenAI
+# Baselines' ppo2 (benchmarks_mujoco1M), [5]: CleanRL's ppo_continuous_action.
+PUBLISHED = {
+    "InvertedPendulum-v5": 1000,  # [1]
+    "InvertedDoublePendulum-v5": 8000,  # [1]
+    "Reacher-v5": -5,  # [2], [3]
+    "Pusher-v5": -40,  # [5]
+    "Swimmer-v5": 111,  # [4]
+    "Hopper-v5": 2483,  # [3]
+    "HalfCheetah-v5": 5650,  # [3]
+    "Walker2d-v5": 4000,  # [2]
+    "Ant-v5": 3141,  # [3]
+    "Humanoid-v5": 732,  # [3]
+}
+STEPS[PPO] = dict.fromkeys(PUBLISHED, 1_000_000)
 PACKAGES = "torch", "gymnasium", "mujoco", "Box2D", "numpy"
 SEEDS = {name: [1, 2, 3, 5, 8] if name == REINFORCE else [1, 2, 3, 4, 5] for name in SCRIPTS}
 
 
-def run_script(script, *arguments):
+def run_script(path, *arguments):
     """Run a script as a user would; returns its run folder. Its bars go to stderr."""
-    command = [sys.executable, SCRIPTS[script].__file__, *map(str, arguments)]
+    command = [sys.executable, path, *map(str, arguments)]
     output = subprocess.check_output(command, text=True)
     checkpoint = output.splitlines()[-1].rsplit(": ", 1)[-1]  # the last line names one
     return Path(checkpoint).parent.parent
@@ -333,9 +349,10 @@ def train_or_load(args):
     totals = args.total_steps or [STEPS[args.script].get(x, usual) for x in env_ids]
     if len(totals) != len(env_ids):
         sys.exit(f"error: argument --total-steps: got {totals}, takes one for each --env-id")
+    path = SCRIPTS[args.script].__file__
     folders = args.runs or [
-        run_script(args.script, "--env-id", env_id, "--seed", *seeds, "--total-steps", steps,
-                   *flags, "--out-dir", args.out_dir, *args.extra)
+        run_script(path, "--env-id", env_id, "--seed", *seeds, "--total-steps", steps, *flags,
+                   "--out-dir", args.out_dir, *args.extra)
         for env_id, steps in zip(env_ids, totals) for flags in args.compare]
     data, evals, episodes = collect(args.script, folders)
     if data.duplicated(["env_id", "flags", "total_steps", "seed"]).any():
@@ -347,8 +364,48 @@ def train_or_load(args):
     return data, evals, episodes
 
 
+def random_return(env_id, num_episodes=20):
+    """Mean return of actions that are drawn evenly from all that there are."""
+    env = ppo.record_episodes(gym.make(env_id))
+    env.action_space.seed(1)
+    for episode in range(num_episodes):
+        env.reset(seed=episode)
+        done = False
+        while not done:
+            _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            done = terminated or truncated
+    return np.mean(env.return_queue)
+
+
+def interquartile_mean(scores):
+    """The mean of the middle half: no single outlier moves it far (Agarwal et al. 2021)."""
+    quarter = len(scores) // 4
+    return np.sort(scores)[quarter:len(scores) - quarter].mean()
+
+
+def compare_with_published(data):
+    """Scores: 0 is random actions, 1 what was published; their interquartile mean over all runs."""
+    data = data[data["env_id"].isin(PUBLISHED)]
+    seeds = data.groupby("env_id", sort=False)["eval_return_mean"]
+    table = pd.DataFrame({"random": {x: random_return(x) for x in seeds.groups}})
+    table["published"], table["ours"] = pd.Series(PUBLISHED), seeds.mean()
+    low, high = data["env_id"].map(table["random"]), data["env_id"].map(table["published"])
+    scores = data.assign(score=(data["eval_return_mean"] - low) / (high - low)).groupby("env_id")
+    table["score"] = scores["score"].mean()
+    print_table(["environment", "random actions", "published", "ours", "score"],
+                [[name, *(f"{x:.4g}" for x in row)] for name, *row in table.itertuples()])
+    runs, random = [x.to_numpy() for _, x in scores["score"]], np.random.default_rng(1)
+    again = [interquartile_mean(np.concatenate([random.choice(x, len(x)) for x in runs]))
+             for _ in range(5000)]
+    low, high = np.quantile(again, (0.025, 0.975))
+    print(f"\nInterquartile mean of all scores: {interquartile_mean(np.concatenate(runs)):.2f}, "
+          f"95% interval {low:.2f} to {high:.2f} (bootstrap over the seeds of each environment)")
+
+
 def returns(args):
     data, evals, _ = train_or_load(args)
+    if args.script == PPO:
+        compare_with_published(data)
     if args.plot:
         plot(evals, args.out_dir / f"{args.study}.png")
     print_machine("; ".join(data["versions"].unique()))
@@ -458,6 +515,245 @@ def baselines(args):
     print_machine("; ".join(data["versions"].unique()))
 
 
+# --- Ablation -------------------------------------------------------------------------------------
+
+
+# What each variant of PPO changes: flags, or pieces of its text: {old: new}.
+ABLATIONS = {
+    "defaults": [],
+    "advantages anew in each epoch": {
+        "    for _ in range(args.epochs):\n": """\
+    for _ in range(args.epochs):
+        with torch.no_grad():
+            values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
+            advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
+                                     batch["done"], args.gamma, args.gae_lambda).flatten()
+            targets = advantages + values.flatten()
+"""},
+    "no KL limit": ["--max-kl", "1e9"],
+    "ratio not clipped": ["--clip-eps", "1e9"],
+    "neither KL limit nor clip": ["--max-kl", "1e9", "--clip-eps", "1e9"],
+    "gradient not clipped": ["--max-grad-norm", "1e9"],
+    "advantages not standardised": {
+        "standardised = (A - A.mean()) / (A.std(correction=0) + 1e-8)": "standardised = A"},
+    "observations not normalised": {
+        'agent.norm.update(batch["obs"].flatten(0, 1))': "pass"},
+    "rewards not scaled": {
+        "return rewards / reward_norm.var.sqrt(), past_return": "return rewards, past_return"},
+    "learning rate constant": {"share = 1 - env_step / args.total_steps": "share = 1"},
+    "last layer not small": {"output_gain=0.01)": "output_gain=1.0)"},
+    "weights not orthogonal": {
+        "nn.init.orthogonal_(layer.weight, gain)":
+            "nn.init.normal_(layer.weight, std=gain / math.sqrt(layer.in_features))"},
+    "σ learns as fast as μ": ["--std-speed", "1"],
+    "σ = 1 at first": ["--log-std", "0"],
+    "actions clipped, no tanh": {"torch.tanh(samples)": "samples.clamp(-1, 1)"},
+    "time limits treated as deaths": {'"terminated": terminated': '"terminated": done'},
+    "value loss clipped, too": {
+        "        targets = advantages + values.flatten()\n": """\
+        old_values = values.flatten()
+        targets = advantages + old_values
+""",
+        "            loss_v = value_loss(agent.value(obs[rows]), targets[rows])\n": """\
+            new = agent.value(obs[rows])
+            near = old_values[rows] + (new - old_values[rows]).clamp(-args.clip_eps, args.clip_eps)
+            loss_v = torch.max((new - targets[rows]) ** 2, (near - targets[rows]) ** 2).mean() / 2
+"""},
+    "minibatches of 64": ["--minibatch-size", "64"],
+}
+
+
+def write_variant(change, folder):
+    """ppo_continuous.py in a folder of its own, changed; returns its path and its flags."""
+    text, path = Path(ppo.__file__).read_text(encoding="utf-8"), folder / f"{PPO}.py"
+    edits = change if isinstance(change, dict) else {}
+    for old, new in edits.items():
+        if text.count(old) != 1:
+            sys.exit(f"error: not once in {PPO}.py: {old}")
+        text = text.replace(old, new)
+    folder.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path, [] if edits else change
+
+
+def finished_run(home, env_id, seed):
+    """The folder of a run that an earlier call of this study brought to its end, or None."""
+    for file in home.glob(f"{env_id}__*/seed-{seed}/evals.csv"):
+        config = json.loads((file.parent.parent / "args.json").read_text(encoding="utf-8"))
+        if pd.read_csv(file)["env_step"].iloc[-1] >= config["total_steps"]:
+            return file.parent.parent
+    return None
+
+
+def ablate(home, path, flags, env_id, seed, steps):
+    """The last evaluation of one run."""
+    folder = finished_run(home, env_id, seed) or run_script(
+        path, "--env-id", env_id, "--seed", seed, "--total-steps", steps, "--num-evals", 4,
+        "--eval-episodes", 20, "--out-dir", home, *flags)
+    return pd.read_csv(folder / f"seed-{seed}/evals.csv")["return_mean"].iloc[-1]
+
+
+def difference(returns, usual):
+    """Difference of the means of two groups of seeds, and half its 95% interval (Welch)."""
+    errors = [x.var() / len(x) for x in (returns, usual)]
+    degrees = sum(errors) ** 2 / sum(e**2 / (len(x) - 1) for e, x in zip(errors, (returns, usual)))
+    draws = np.abs(np.random.default_rng(1).standard_t(degrees, 200_000))
+    return returns.mean() - usual.mean(), np.quantile(draws, 0.95) * math.sqrt(sum(errors))
+
+
+def ablation(args):
+    """PPO without one of its details at a time: what it loses, or gains."""
+    names = args.only or list(ABLATIONS)
+    home = {name: args.out_dir / re.sub(r"\W+", "-", name) for name in ABLATIONS}
+    variants = {name: write_variant(ABLATIONS[name], home[name]) for name in ABLATIONS}
+    jobs = [(name, env_id, seed) for seed in args.seed for name in names for env_id in args.env_id]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # a process each
+        runs = [pool.submit(ablate, home[name], *variants[name], env_id, seed, args.total_steps)
+                for name, env_id, seed in jobs]
+        data = pd.DataFrame(jobs, columns=["variant", "env_id", "seed"])
+        data["return_mean"] = [run.result() for run in runs]
+    data.to_csv(args.out_dir / "ablation.csv", index=False)
+    rows = []
+    for (env_id, name), runs in data.groupby(["env_id", "variant"], sort=False)["return_mean"]:
+        usual = data[data["env_id"].eq(env_id) & data["variant"].eq("defaults")]["return_mean"]
+        gap, margin = difference(runs, usual) if name != "defaults" else (0.0, 0.0)
+        rows.append({"environment": env_id, "variant": name, "mean": runs.mean(),
+                     "std": runs.std(), "difference": gap, "margin": margin,
+                     "seeds": ", ".join(f"{x:.0f}" for x in runs)})
+    table = pd.DataFrame(rows)
+    for env_id, x in table.groupby("environment", sort=False):
+        print_table([f"{env_id}, {args.total_steps:,} steps", "mean ± std", "difference, 95%",
+                     "every seed"],
+                    [[row.variant, f"{row.mean:.0f} ± {row.std:.0f}",
+                      f"{row.difference:+.0f} ± {row.margin:.0f}", row.seeds]
+                     for row in x.itertuples()])
+    draw_ablation(table, args)
+    print_machine(json.dumps(installed()))
+
+
+def draw_ablation(table, args):
+    """A dot and a 95% interval for each variant; red: the whole interval is on one side of 0."""
+    table = table[table["variant"] != "defaults"]
+    names = list(dict.fromkeys(table["variant"]))
+    figure = Figure(figsize=(11, 0.3 * len(names) + 1.4), layout="constrained")
+    panels = figure.subplots(1, table["environment"].nunique(), sharey=True, squeeze=False)[0]
+    for axis, (env_id, x) in zip(panels, table.groupby("environment", sort=False)):
+        places = [-names.index(name) for name in x["variant"]]
+        for place, gap, margin in zip(places, x["difference"], x["margin"]):
+            colour = "C3" if abs(gap) > margin else "C0"
+            axis.errorbar(gap, place, xerr=margin, fmt="o", capsize=3, color=colour)
+        axis.axvline(0, color="grey", linewidth=0.8)
+        axis.set(title=env_id, xlabel="return minus that of the defaults",
+                 yticks=[-i for i in range(len(names))], yticklabels=names)
+    figure.suptitle(f"PPO with one detail changed: {len(args.seed)} seeds, "
+                    f"{args.total_steps:,} steps, 95% intervals (red: without 0)")
+    figure.savefig(args.out_dir / "ablation.png", dpi=100)
+
+
+# --- Race -----------------------------------------------------------------------------------------
+
+
+class Track:
+    """Evaluations of one training at even steps, against its seconds; their own do not count."""
+
+    def __init__(self, env_id, steps, seed):
+        self.envs = [ppo.record_episodes(gym.make(env_id)) for _ in range(5)]
+        self.pause, self.seed = steps / 50, seed
+        self.seconds, self.start, self.rows = 0.0, time.perf_counter(), []
+
+    def visit(self, env_step, agent):
+        if env_step >= len(self.rows) * self.pause:
+            self.seconds += time.perf_counter() - self.start
+            result = ppo.evaluate(agent, self.envs, self.seed)
+            self.rows.append({"env_step": env_step, "minutes": self.seconds / 60,
+                              "return": result["return_mean"]})
+            self.start = time.perf_counter()
+
+
+def our_race(script, env_id, steps, seed, _):
+    module = SCRIPTS[script]
+    args = module.parse_args(["--env-id", env_id, "--total-steps", str(steps)])
+    track = Track(env_id, steps, seed)
+    for env_step, agent, *_ in module.train(args, seed):
+        track.visit(env_step, agent)
+    return track.rows
+
+
+def sb3_race(script, env_id, steps, seed, num_envs):
+    """The peer: its defaults for PPO, its zoo's settings for A2C on LunarLander."""
+    import stable_baselines3 as sb3  # optional
+    from stable_baselines3.common import env_util, vec_env
+
+    torch.set_num_threads(1)  # as ours
+    envs = env_util.make_vec_env(env_id, num_envs, seed)
+    if script == PPO:
+        envs = vec_env.VecNormalize(envs)
+        model = sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu")
+    else:
+        model = sb3.A2C("MlpPolicy", envs, gamma=0.995, n_steps=5, ent_coef=1e-5, seed=seed,
+                        learning_rate=lambda left: 8.3e-4 * left, device="cpu")
+
+    class Peer:
+        """Looks like our agent."""
+
+        def act(self, obs, deterministic):
+            seen = envs.normalize_obs(obs) if script == PPO else obs
+            return None, model.predict(seen, deterministic=deterministic)[0]
+
+    def after_step(*_):
+        track.visit(model.num_timesteps, Peer())
+        return True
+
+    track = Track(env_id, steps, seed)
+    model.learn(steps, callback=after_step)
+    track.visit(math.inf, Peer())  # after the last update
+    track.rows[-1]["env_step"] = model.num_timesteps
+    return track.rows
+
+
+def race_in_turns(script, env_id, steps, seed):
+    """All learners after one another, each in a process of its own."""
+    counts = (1, 8) if script == PPO else (8,)
+    learners = {"ours": (our_race, None)}
+    for count in counts:
+        learners[f"stable-baselines3, environments: {count}"] = sb3_race, count
+    tables = []
+    for name, (function, count) in learners.items():
+        rows = fresh(function, script, env_id, steps, seed, count)
+        tables.append(pd.DataFrame(rows).assign(learner=name, env_id=env_id, seed=seed))
+    return pd.concat(tables)
+
+
+def race(args):
+    """Return against minutes, ours and stable-baselines3's."""
+    usual = ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"]
+    env_ids = args.env_id or (usual if args.script == PPO else [DEFAULTS[A2C]["env_id"]])
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        jobs = [pool.submit(race_in_turns, args.script, env_id, args.total_steps, seed)
+                for seed in args.seed for env_id in env_ids]
+        data = pd.concat([job.result() for job in jobs], ignore_index=True)
+    data.to_csv(args.out_dir / "race.csv", index=False)
+    rows = []
+    for env_id, runs in data.groupby("env_id", sort=False):
+        ours = runs[runs["learner"] == "ours"]
+        for learner, x in runs.groupby("learner", sort=False):
+            last = x.groupby("seed")[["minutes", "return"]].last()
+            goal = last["return"].mean()
+            passed = ours[ours["return"] >= goal].groupby("seed")["minutes"].first()
+            passed = passed.reindex(sorted(args.seed), fill_value=math.inf)
+            rows.append([env_id, learner, ", ".join(f"{x:.0f}" for x in last["return"]),
+                         f"{last['minutes'].mean():.1f}", *(["–"] * 2 if learner == "ours" else [
+                             ", ".join(f"{x:.2f}" for x in passed),
+                             f"{last['minutes'].mean() / passed.median():.0f}"])])
+    print_table(["environment", "learner", "final return, every seed", "minutes",
+                 "minutes until ours has its mean", "ratio of the median"], rows)
+    grid = sns.relplot(data, x="minutes", y="return", hue="learner", col="env_id", units="seed",
+                       estimator=None, kind="line", height=3.2, facet_kws={"sharey": False})
+    grid.set_titles("{col_name}").set_axis_labels("minutes of training", "evaluation return (raw)")
+    grid.savefig(args.out_dir / "race.png", dpi=100)
+    print_machine(json.dumps(installed()))
+
+
 # --- Robustness -----------------------------------------------------------------------------------
 
 
@@ -539,7 +835,7 @@ def main():
         study = studies.add_parser(name, help=text, description=text)
         add = study.add_argument
         add("--out-dir", type=Path, default="runs/benchmark", help="for tables, pictures and runs")
-        if name in ("speed", "returns"):
+        if name in ("speed", "returns", "race"):
             add("--script", choices=SCRIPTS, default=PPO)
         study.set_defaults(function=function, **defaults)
         return add
@@ -565,6 +861,17 @@ def main():
     # of baselines, the last of them
     add("--batches", type=int, default=500, help="of which the noise is measured")
     add("--halfway", type=float, default=100, help="return of the policy that it is measured for")
+
+    add = add_study("ablation", ablation, "PPO with one detail changed at a time")
+    add("--only", nargs="+", choices=ABLATIONS, metavar="VARIANT", help="default: all")
+    add("--env-id", nargs="+", default=["HalfCheetah-v5", "Hopper-v5"])
+    add("--seed", type=int, nargs="+", default=SEEDS[PPO])
+    add("--total-steps", type=int, default=500_000, help="what is finished is not trained again")
+
+    add = add_study("race", race, "return against minutes, ours and that of stable-baselines3")
+    add("--env-id", nargs="+", help="default: three for PPO, else the script's own")
+    add("--seed", type=int, nargs="+", default=[1, 2, 3])
+    add("--total-steps", type=int, default=1_000_000)
 
     add = add_study("scaling", scaling, "A2C: speed against the number of environments")
     add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="first: ψ = 1")
