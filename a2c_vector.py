@@ -13,8 +13,8 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-It learns to land on the moon: a return of 220, where 200 counts as solved, after 1,000,000 steps,
-in a minute and a half. `--help` lists all options; each training leaves a folder in `runs`.
+It learns to land on the moon in two minutes: 1,000,000 steps, return 250, 200 counts as solved.
+`--help` lists all options; each training leaves a folder in `runs`.
 
     python a2c_vector.py --seed 1 2 3 4 5
 
@@ -108,11 +108,11 @@ def parse_args(argv=None):
     add = parser.add_argument_group("environment").add_argument
     add("--env-id", default="LunarLander-v3",
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
-    add("--num-envs", type=number(int, 1), default=16, help="environments stepped together, N")
+    add("--num-envs", type=number(int, 1), default=8, help="environments stepped together, N")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="LunarLander: train with changing physics")
     add = parser.add_argument_group("algorithm").add_argument
-    add("--rollout-steps", type=number(int, 1), default=32, help="steps of each environment, T")
+    add("--rollout-steps", type=number(int, 1), default=64, help="steps of each environment, T")
     add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="that of the critic")

@@ -14,8 +14,8 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-It learns to balance a double pendulum: a return of 9,325, of about 9,350 possible, after 150,000
-steps, in less than a minute. `--help` lists all options; each training leaves a folder in `runs`.
+It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 of about 9,350.
+`--help` lists all options; each training leaves a folder in `runs`.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 

@@ -48,7 +48,7 @@ PUBLISHED = {
 }
 STEPS[PPO] = dict.fromkeys(PUBLISHED, 1_000_000)
 PACKAGES = "torch", "gymnasium", "mujoco", "Box2D", "numpy"
-SEEDS = {name: [1, 2, 3, 5, 8] if name == REINFORCE else [1, 2, 3, 4, 5] for name in SCRIPTS}
+SEEDS = {PPO: [1, 2, 3, 4, 5], A2C: list(range(1, 11)), REINFORCE: [1, 2, 3, 5, 8]}
 
 
 def run_script(path, *arguments):
@@ -113,7 +113,7 @@ def sb3_speed(script, flags, seed):
 
     torch.set_num_threads(1)  # as ours
     args, is_ppo = SCRIPTS[script].parse_args(flags), script == PPO
-    envs = env_util.make_vec_env(args.env_id, 8 if is_ppo else 16, seed)  # steps them in turn
+    envs = env_util.make_vec_env(args.env_id, 8, seed)  # steps them in turn
     envs = vec_env.VecNormalize(envs) if is_ppo else envs
     model = (sb3.PPO if is_ppo else sb3.A2C)("MlpPolicy", envs, seed=seed, device="cpu")
     start = time.perf_counter()
@@ -853,7 +853,7 @@ def main():
                   script=REINFORCE, compare=baseline),
     ):
         add("--env-id", nargs="+")
-        add("--seed", type=int, nargs="+", help="default: 1 2 3 4 5, for REINFORCE 1 2 3 5 8")
+        add("--seed", type=int, nargs="+", help="default: 1 to 5, A2C 1 to 10, REINFORCE 1 2 3 5 8")
         add("--total-steps", type=int, nargs="+", help="one for each --env-id")
         add("--runs", type=Path, nargs="+", help="finished run folders: show these, train none")
         add("--plot", action="store_true", help="draw learning curves")
