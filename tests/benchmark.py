@@ -594,11 +594,12 @@ def ablate(home, path, flags, env_id, seed, steps):
 
 
 def difference(returns, usual):
-    """Difference of the means of two groups of seeds, and half its 95% interval (Welch)."""
+    """Difference of two groups' means, its standard error, half its 95% interval (Welch)."""
     errors = [x.var() / len(x) for x in (returns, usual)]
     degrees = sum(errors) ** 2 / sum(e**2 / (len(x) - 1) for e, x in zip(errors, (returns, usual)))
     draws = np.abs(np.random.default_rng(1).standard_t(degrees, 200_000))
-    return returns.mean() - usual.mean(), np.quantile(draws, 0.95) * math.sqrt(sum(errors))
+    error = math.sqrt(sum(errors))
+    return returns.mean() - usual.mean(), error, np.quantile(draws, 0.95) * error
 
 
 def ablation(args):
@@ -616,7 +617,7 @@ def ablation(args):
     rows = []
     for (env_id, name), runs in data.groupby(["env_id", "variant"], sort=False)["return_mean"]:
         usual = data[data["env_id"].eq(env_id) & data["variant"].eq("defaults")]["return_mean"]
-        gap, margin = difference(runs, usual) if name != "defaults" else (0.0, 0.0)
+        gap, _, margin = difference(runs, usual) if name != "defaults" else (0.0, 0.0, 0.0)
         rows.append({"environment": env_id, "variant": name, "mean": runs.mean(),
                      "std": runs.std(), "difference": gap, "margin": margin,
                      "seeds": ", ".join(f"{x:.0f}" for x in runs)})
@@ -796,31 +797,44 @@ def robustness(args):
         print_table([f"trained: {trained}, gravity", *(f"wind {x:g}" for x in cells)],
                     [[row, *map(round, values)] for row, values in zip(cells.index, cells.values)])
     outer = [data[x].isin((data[x].min(), data[x].max())) for x in ("gravity", "wind_power")]
-    data["outer"] = data["return_mean"].where(outer[0] | outer[1])
-    means = data.groupby(["trained", "checkpoint", "seed"], sort=False)[["return_mean", "outer"]]
-    rows = []
-    for trained, agents in means.mean().groupby("trained", sort=False):
-        rows += [[trained, *(f"{agents[x].mean():.1f} ± {agents[x].std():.1f}" for x in agents),
-                  ", ".join(map(str, agents.index.get_level_values("seed"))),
-                  *(", ".join(f"{y:.1f}" for y in agents[x]) for x in agents)]]
-    print_table(["trained", "all cells, mean ± std over agents", "outer cells", "seeds",
-                 "all cells, every agent", "outer cells, every agent"], rows)
+    usual = data["gravity"].eq(-10) & data["wind_power"].eq(0)
+    regions = {"all worlds": usual | True, "outermost worlds": outer[0] | outer[1],
+               "usual world": usual}
+    agents = pd.DataFrame({
+        region: data[inside].groupby(["trained", "checkpoint"], sort=False)["return_mean"].mean()
+        for region, inside in regions.items()})
+    rows = [[trained, region, f"{x.mean():.1f} ± {x.std():.1f}", ", ".join(f"{y:.1f}" for y in x)]
+            for trained, group in agents.groupby("trained", sort=False)
+            for region, x in group.items()]
+    print_table(["trained", "where", "mean ± std over agents", "every agent"], rows)
+    if len(maps) == 2:
+        print()
+        for region, x in agents.items():
+            gap, error, margin = difference(x["--randomize"], x["default"])
+            print(f"{region}: --randomize is {gap:+.1f} ± {margin:.1f} (95%) better, "
+                  f"{gap / error:+.1f} standard errors")
     draw_maps(maps, args, data.groupby("trained")["checkpoint"].nunique())
     print_machine(json.dumps(installed()))
 
 
 def draw_maps(maps, args, agents):
-    figure = Figure(figsize=(5.5 * len(maps) + 1, 4.2), layout="constrained")
-    axes = figure.subplots(1, len(maps), squeeze=False)[0]
+    """A map of mean returns for each kind of training, and one of their difference."""
+    figure = Figure(figsize=(16, 4.4), layout="constrained")
+    axes = figure.subplots(1, len(maps) + (len(maps) == 2), squeeze=False)[0]
     scale = {"vmin": min(x.min().min() for x in maps.values()),
              "vmax": max(x.max().max() for x in maps.values())}
     for axis, (trained, cells) in zip(axes, maps.items()):
         sns.heatmap(cells, annot=True, fmt=".0f", cmap="viridis", ax=axis, **scale,
-                    cbar=axis is axes[-1], cbar_kws={"label": "mean return (raw)"})
-        axis.set(title=f"trained: {trained} ({agents[trained]} agents)",
-                 xlabel="wind power (0: no wind)", ylabel="gravity")
+                    cbar_kws={"label": "mean return (raw)"})
+        axis.set(title=f"trained: {trained} ({agents[trained]} agents)")
+    if len(maps) == 2:
+        sns.heatmap(maps["--randomize"] - maps["default"], annot=True, fmt="+.0f", cmap="vlag",
+                    center=0, ax=axes[-1], cbar_kws={"label": "difference (raw)"})
+        axes[-1].set(title="--randomize minus default")
+    for axis in axes:
+        axis.set(xlabel="wind power (0: no wind)", ylabel="gravity")
         axis.invert_yaxis()  # as in the table: the heaviest world on top
-    figure.suptitle(f"{args.episodes} deterministic episodes of each agent in each cell")
+    figure.suptitle(f"{args.episodes} deterministic episodes of each agent in each world")
     figure.savefig(args.out_dir / "robustness.png", dpi=100)
 
 

@@ -57,11 +57,12 @@ def test_a_variant_whose_text_is_not_there_is_an_error(tmp_path):
 
 def test_the_interval_of_a_difference_is_that_of_student_and_welch():
     a, b = pd.Series([1.0, 2, 3, 4, 5]), pd.Series([2.0, 3, 4, 5, 6])
-    gap, margin = benchmark.difference(a, b)
+    gap, error, margin = benchmark.difference(a, b)
     assert gap == -1
+    assert error == 1
     # equal variances of 2.5, so 8 degrees of freedom, of which the table says 2.306
     assert margin == pytest.approx(2.306 * math.sqrt(2.5 / 5 + 2.5 / 5), rel=0.02)
-    _, margin = benchmark.difference(a, pd.Series([7.0] * 5))  # 4 degrees: 2.776
+    _, _, margin = benchmark.difference(a, pd.Series([7.0] * 5))  # 4 degrees: 2.776
     assert margin == pytest.approx(2.776 * math.sqrt(2.5 / 5), rel=0.02)
 
 
