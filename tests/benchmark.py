@@ -833,7 +833,6 @@ def draw_maps(maps, args, agents):
         axes[-1].set(title="--randomize minus default")
     for axis in axes:
         axis.set(xlabel="wind power (0: no wind)", ylabel="gravity")
-        axis.invert_yaxis()  # as in the table: the heaviest world on top
     figure.suptitle(f"{args.episodes} deterministic episodes of each agent in each world")
     figure.savefig(args.out_dir / "robustness.png", dpi=100)
 
