@@ -13,10 +13,10 @@
 # ///
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
-It learns to land on the moon in two minutes: 1,000,000 steps, nine seeds of ten reach 247 to 269.
+It learns to land on the moon in two minutes: 1,000,000 steps, return 247 to 269 in 9 seeds of 10.
 `--help` lists all options; each training leaves a folder in `runs`.
 
-    python a2c_vector.py --seed 1 2 3 4 5
+    python a2c_vector.py --seed 1 2 3 4 5 6 7 8 9 10
 
 In a state s (`obs` in the code) the actor, a network, gives each of K actions u a probability
 π(u|s) and draws one. The environment answers with a reward r and the next state, and so on until

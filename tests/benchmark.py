@@ -572,22 +572,24 @@ def write_variant(change, folder):
             sys.exit(f"error: not once in {PPO}.py: {old}")
         text = text.replace(old, new)
     folder.mkdir(parents=True, exist_ok=True)
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        sys.exit(f"error: {folder} holds runs of another version of {PPO}.py")
     path.write_text(text, encoding="utf-8")
     return path, [] if edits else change
 
 
-def finished_run(home, env_id, seed):
-    """The folder of a run that an earlier call of this study brought to its end, or None."""
+def finished_run(home, env_id, seed, steps):
+    """The folder of a run of `steps` steps that an earlier call brought to its end, or None."""
     for file in home.glob(f"{env_id}__*/seed-{seed}/evals.csv"):
         config = json.loads((file.parent.parent / "args.json").read_text(encoding="utf-8"))
-        if pd.read_csv(file)["env_step"].iloc[-1] >= config["total_steps"]:
+        if config["total_steps"] == steps <= pd.read_csv(file)["env_step"].iloc[-1]:
             return file.parent.parent
     return None
 
 
 def ablate(home, path, flags, env_id, seed, steps):
     """The last evaluation of one run."""
-    folder = finished_run(home, env_id, seed) or run_script(
+    folder = finished_run(home, env_id, seed, steps) or run_script(
         path, "--env-id", env_id, "--seed", seed, "--total-steps", steps, "--num-evals", 4,
         "--eval-episodes", 20, "--out-dir", home, *flags)
     return pd.read_csv(folder / f"seed-{seed}/evals.csv")["return_mean"].iloc[-1]

@@ -76,5 +76,14 @@ def test_only_a_run_that_came_to_its_end_counts_as_finished(tmp_path):
     (folder / "args.json").write_text(json.dumps({"total_steps": 100}))
     for steps, expected in ((50, None), (104, folder)):
         pd.DataFrame({"env_step": [0, steps]}).to_csv(folder / "seed-3/evals.csv", index=False)
-        assert benchmark.finished_run(tmp_path, "MyEnv-v0", 3) == expected
-    assert benchmark.finished_run(tmp_path, "MyEnv-v0", 4) is None
+        assert benchmark.finished_run(tmp_path, "MyEnv-v0", 3, 100) == expected
+    assert benchmark.finished_run(tmp_path, "MyEnv-v0", 3, 50) is None  # a study of other length
+    assert benchmark.finished_run(tmp_path, "MyEnv-v0", 4, 100) is None
+
+
+def test_runs_of_another_version_of_the_script_are_not_mixed_in(tmp_path):
+    path, _ = benchmark.write_variant([], tmp_path)
+    benchmark.write_variant([], tmp_path)
+    path.write_text("# an older version")
+    with pytest.raises(SystemExit, match="another version"):
+        benchmark.write_variant([], tmp_path)
