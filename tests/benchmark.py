@@ -281,34 +281,64 @@ def draw_scaling(data, path):
 # --- Returns --------------------------------------------------------------------------------------
 
 
+def written_flags(config, names):
+    """Those of `names` that a run was given, as on its command line."""
+    values = {f"--{name.replace('_', '-')}": config[name] for name in names}
+    return " ".join(flag if value is True else f"{flag} {value}"
+                    for flag, value in values.items() if value is not False)
+
+
 def collect(script, folders):
-    """A row per seed, one per evaluation, one per episode; `flags`: those not always at default."""
+    """A row per seed, one per evaluation, one per episode; `flags`: those not always at default.
+
+    A run that is not complete or comes twice is an error, not left out; so no seed gets lost.
+    """
     default = DEFAULTS[script]
     configs = [{**default, **json.loads((x / "args.json").read_text())} for x in folders]
     names = sorted(default.keys() - {"seed", "env_id", "total_steps", "out_dir"})
     names = [x for x in names if any(config[x] != default[x] for config in configs)]
-    rows, curves = [], {"evals": [], "episodes": []}
+    rows, curves, faults, found = [], {"evals": [], "episodes": []}, [], {}
     for folder, config in zip(folders, configs):
-        flags = " ".join(f"--{name.replace('_', '-')} {config[name]}" for name in names)
         if Path(config["command"][0]).stem != script:
             sys.exit(f"error: {folder} is of {config['command'][0]}, not of {script}.py")
+        flags, total = written_flags(config, names), config["total_steps"]
         versions = {name: config["versions"].get(name) for name in PACKAGES}
-        for seed in config["seed"]:  # one without a result is an error, not left out
-            keys = {"env_id": config["env_id"], "flags": flags, "seed": seed}
-            tables = {name: pd.read_csv(folder / f"seed-{seed}/{name}.csv") for name in curves}
+        for seed in config["seed"]:
+            keys = {"env_id": config["env_id"], "flags": flags, "total_steps": total, "seed": seed}
+            first = found.setdefault(tuple(keys.values()), folder)
+            if first != folder:
+                faults.append(f"{folder}: seed {seed} is in {first}, too")
+            files = {name: folder / f"seed-{seed}/{name}.csv" for name in curves}
+            if not files["evals"].exists():
+                faults.append(f"{folder}: seed {seed} has saved nothing")
+                continue
+            last = pd.read_csv(files["evals"]).iloc[-1]
+            if last["env_step"] < total:
+                faults.append(f"{folder}: seed {seed} ended at {last['env_step']:.0f} of {total}")
+                continue
+            tables = {name: pd.read_csv(file) for name, file in files.items()}
             for name, table in tables.items():
                 curves[name].append(table.assign(**keys))
-            last = tables["evals"].iloc[-1]
-            if last["env_step"] < config["total_steps"]:
-                sys.exit(f"error: {folder}: seed {seed} was stopped before its end")
             rows.append({
-                "script": script, **keys, "total_steps": config["total_steps"],
-                "env_steps": last["env_step"], "eval_return_mean": last["return_mean"],
-                "eval_return_std": last["return_std"], "eval_episodes": last["episodes"],
+                "script": script, **keys, "env_steps": last["env_step"],
+                "eval_return_mean": last["return_mean"], "eval_return_std": last["return_std"],
+                "eval_episodes": last["episodes"],
                 "last_100_returns": tables["episodes"]["return"].tail(100).mean(),
                 "minutes": last["seconds"] / 60, "versions": json.dumps(versions),
-                "steps_per_second": last["env_step"] / last["seconds"]})
-    return pd.DataFrame(rows), *(pd.concat(x, ignore_index=True) for x in curves.values())
+                "steps_per_second": last["env_step"] / last["seconds"], "folder": str(folder)})
+    if faults:
+        sys.exit("\n".join(["error: argument --runs:", *faults]))
+    data = pd.DataFrame(rows).sort_values("seed", kind="stable", ignore_index=True)
+    return data, *(pd.concat(x, ignore_index=True) for x in curves.values())
+
+
+def print_versions(data):
+    """Which packages the runs had; with a line for each folder if not all had the same."""
+    print_machine("; ".join(data["versions"].unique()))
+    if data["versions"].nunique() > 1:
+        print("\nThe runs had different packages:")
+        for (folder, versions), _ in data.groupby(["folder", "versions"], sort=False):
+            print(f"{folder}: {versions}")
 
 
 def summarise(data):
@@ -355,8 +385,6 @@ def train_or_load(args):
                    "--out-dir", args.out_dir, *args.extra)
         for env_id, steps in zip(env_ids, totals) for flags in args.compare]
     data, evals, episodes = collect(args.script, folders)
-    if data.duplicated(["env_id", "flags", "total_steps", "seed"]).any():
-        sys.exit("error: argument --runs: a seed comes twice with the same flags")
     data.to_csv(args.out_dir / f"{args.study}.csv", index=False)
     print_table(["environment", "steps", "mean ± std over seeds", "every seed",
                  "training, last 100 episodes", "minutes per seed", "steps/s"], summarise(data))
@@ -385,7 +413,10 @@ def interquartile_mean(scores):
 
 def compare_with_published(data):
     """Scores: 0 is random actions, 1 what was published; their interquartile mean over all runs."""
-    data = data[data["env_id"].isin(PUBLISHED)]
+    data = data[data["env_id"].isin(PUBLISHED) & data["flags"].eq("")
+                & data["total_steps"].eq(1_000_000)]
+    if data.empty:
+        return
     seeds = data.groupby("env_id", sort=False)["eval_return_mean"]
     table = pd.DataFrame({"random": {x: random_return(x) for x in seeds.groups}})
     table["published"], table["ours"] = pd.Series(PUBLISHED), seeds.mean()
@@ -408,7 +439,7 @@ def returns(args):
         compare_with_published(data)
     if args.plot:
         plot(evals, args.out_dir / f"{args.study}.png")
-    print_machine("; ".join(data["versions"].unique()))
+    print_versions(data)
 
 
 # --- Baselines ------------------------------------------------------------------------------------
@@ -512,7 +543,7 @@ def baselines(args):
               title=f"noise of the gradient, one policy, {args.batches} batches\n"
                     "(mean: times the std it divides by)")
     figure.savefig(args.out_dir / "baselines.png", dpi=100)
-    print_machine("; ".join(data["versions"].unique()))
+    print_versions(data)
 
 
 # --- Ablation -------------------------------------------------------------------------------------

@@ -3,6 +3,12 @@
 import importlib.util
 import json
 import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import benchmark
 import gymnasium as gym
@@ -87,3 +93,109 @@ def test_runs_of_another_version_of_the_script_are_not_mixed_in(tmp_path):
     path.write_text("# an older version")
     with pytest.raises(SystemExit, match="another version"):
         benchmark.write_variant([], tmp_path)
+
+
+# --- Studies of many calls ------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def ten_calls(tmp_path_factory):
+    """What the README's line for xargs leaves, with a tiny budget and all ten at once."""
+    cwd = tmp_path_factory.mktemp("study")
+    shutil.copy(harness.ROOT / "ppo_continuous.py", cwd)
+    readme = (harness.ROOT / "README.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^seq .*xargs.*ppo_continuous\.py.*$", readme, re.MULTILINE)
+    line = re.sub(r"-P *\d+", "-P 10", line)
+    tiny = ("--env-id harness:ThreeSteps-v0 --num-envs 1 --rollout-steps 16 --total-steps 32 "
+            "--num-evals 1 --eval-episodes 1")
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    subprocess.run(
+        f"{line} {tiny}", shell=True, cwd=cwd, check=True, capture_output=True, timeout=170,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(harness.TESTS), "OMP_NUM_THREADS": "1"})
+    return sorted((cwd / "runs").iterdir())
+
+
+def merge(folders, out_dir, capsys, monkeypatch):
+    """`benchmark.py returns --runs FOLDER …`: what it printed, or said before it gave up."""
+    capsys.readouterr()
+    command = ["benchmark.py", "returns", "--out-dir", str(out_dir), "--runs", *map(str, folders)]
+    monkeypatch.setattr(sys, "argv", command)
+    try:
+        benchmark.main()
+    except SystemExit as end:
+        return str(end.code)
+    return capsys.readouterr().out
+
+
+def rewrite(folder, **changes):
+    file = folder / "args.json"
+    file.write_text(json.dumps({**harness.read_json(file), **changes}))
+
+
+@pytest.mark.skipif(shutil.which("xargs") is None, reason="has no xargs")
+class TestMerging:
+    def test_calls_in_the_same_moment_each_have_a_folder_of_their_own(self, ten_calls):
+        assert len(ten_calls) == 10
+        seeds = [harness.read_json(folder / "args.json")["seed"] for folder in ten_calls]
+        assert sorted(seeds) == [[seed] for seed in range(1, 11)]
+        for folder, (seed,) in zip(ten_calls, seeds):
+            assert [x.name for x in folder.glob("seed-*")] == [f"seed-{seed}"]
+
+    def test_ten_calls_make_the_same_table_as_one_with_ten_seeds(
+            self, ten_calls, tmp_path, capsys, monkeypatch):
+        one = tmp_path / "one call"
+        shutil.copytree(ten_calls[0], one)
+        rewrite(one, seed=list(range(1, 11)))
+        for folder in ten_calls[1:]:
+            shutil.copytree(next(folder.glob("seed-*")), one / next(folder.glob("seed-*")).name)
+        tables = []
+        for folders in (ten_calls, ten_calls[::-1], [one]):
+            out = merge(folders, tmp_path, capsys, monkeypatch)
+            tables.append([x for x in out.splitlines() if x.startswith("| harness:ThreeSteps")])
+            data = pd.read_csv(tmp_path / "returns.csv")
+            assert data["seed"].tolist() == list(range(1, 11))
+            assert "different packages" not in out
+        assert len(tables[0]) == 1
+        assert tables[0] == tables[1] == tables[2]
+
+    def test_all_runs_that_cannot_count_are_named(
+            self, ten_calls, tmp_path, capsys, monkeypatch):
+        cut, twice, empty = (tmp_path / name for name in ("cut", "twice", "empty"))
+        for source, copy in zip(ten_calls[:3], (cut, twice, empty)):
+            shutil.copytree(source, copy)
+        (evals,) = cut.glob("*/evals.csv")
+        pd.read_csv(evals).iloc[:1].to_csv(evals, index=False)  # killed after its first evaluation
+        (seed,) = empty.glob("seed-*")
+        shutil.rmtree(seed)
+        text = merge([*ten_calls[1:2], cut, twice, empty], tmp_path, capsys, monkeypatch)
+        assert text.startswith("error: argument --runs")
+        (number,) = harness.read_json(cut / "args.json")["seed"]
+        assert f"{cut}: seed {number} ended at 0 of 32" in text
+        assert f"{empty}: {seed.name.replace('-', ' ')} has saved nothing" in text
+        assert f"is in {ten_calls[1]}, too" in text
+        assert not (tmp_path / "returns.csv").exists()
+
+    def test_other_flags_and_lengths_get_a_row_of_their_own(
+            self, ten_calls, tmp_path, capsys, monkeypatch):
+        folders = [tmp_path / name for name in ("usual", "no discount", "shorter")]
+        for copy in folders:
+            shutil.copytree(ten_calls[0], copy)
+        rewrite(folders[1], gamma=0.5)
+        rewrite(folders[2], total_steps=16)
+        out = merge(folders, tmp_path, capsys, monkeypatch)
+        assert sum(x.startswith("| harness:ThreeSteps") for x in out.splitlines()) == 3
+        assert "--gamma 0.5" in out
+
+    def test_different_package_versions_are_named(self, ten_calls, tmp_path, capsys, monkeypatch):
+        other = tmp_path / "other"
+        shutil.copytree(ten_calls[1], other)
+        versions = harness.read_json(other / "args.json")["versions"]
+        rewrite(other, versions={**versions, "mujoco": "2.0"})
+        out = merge([ten_calls[0], other], tmp_path, capsys, monkeypatch)
+        (line,) = [x for x in out.splitlines() if x.startswith(f"{other}: ")]
+        assert '"mujoco": "2.0"' in line
+
+
+def test_a_flag_without_a_value_is_shown_as_it_is_written():
+    config = {"randomize": True, "watch": False, "num_envs": 4}
+    assert benchmark.written_flags(config, config) == "--randomize --num-envs 4"
