@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import platform
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -276,6 +277,50 @@ def draw_scaling(data, path):
     sns.move_legend(axis, "upper left", bbox_to_anchor=(1, 1))
     axis.axhline(0, color="grey", linewidth=0.5)
     figure.savefig(path, dpi=100)
+
+
+# --- Several processes ----------------------------------------------------------------------------
+
+
+def write_recipe(folder):
+    """together.py as the README shows it, and the script that it imports; returns its path."""
+    text = Path(ppo.__file__).with_name("README.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r'```python\n("""PPO that plays in several.*?)```', text, re.DOTALL)
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copy(ppo.__file__, folder)
+    path = folder / "together.py"
+    path.write_text(code, encoding="utf-8")
+    return path
+
+
+def processes(args):
+    """PPO in one process and in two, with the same environments in all: steps per second."""
+    path, flags = write_recipe(args.out_dir / "together"), ["--num-evals", 1, "--eval-episodes", 1]
+    ways = {"one process": [path.with_name(f"{PPO}.py"), "--num-envs", args.num_envs],
+            "async": [path.with_name(f"{PPO}.py"), "--num-envs", args.num_envs,
+                      "--vectorization", "async"],
+            "two processes": ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2,
+                              path, "--num-envs", args.num_envs // 2]}
+    rows = []
+    for env_id in args.env_id:
+        for pair in range(args.pairs):  # in turns: a busy machine slows all alike
+            for name, way in ways.items():
+                folder = run_script(*way, "--env-id", env_id, "--total-steps", args.steps, *flags,
+                                    "--out-dir", args.out_dir)
+                speed = pd.read_csv(folder / "seed-1/metrics.csv")["steps_per_second"].iloc[-1]
+                rows.append({"env_id": env_id, "pair": pair + 1, "way": name, "speed": speed})
+    data = pd.DataFrame(rows)
+    data.to_csv(args.out_dir / "processes.csv", index=False)
+    for env_id, x in data.groupby("env_id", sort=False):
+        table = x.pivot(index="way", columns="pair", values="speed").loc[list(ways)]
+        print_table([f"{env_id}, steps per second", *table.columns],
+                    [[name, *map(round, row)] for name, *row in table.itertuples()])
+        print()
+        for name in list(ways)[1:]:
+            ratio = table.loc[name] / table.loc["one process"]
+            print(f"{name} / one process: median {ratio.median():.2f}, "
+                  f"{ratio.min():.2f} to {ratio.max():.2f}")
+    print_machine(json.dumps(installed()))
 
 
 # --- Returns --------------------------------------------------------------------------------------
@@ -590,7 +635,6 @@ ABLATIONS = {
             near = old_values[rows] + (new - old_values[rows]).clamp(-args.clip_eps, args.clip_eps)
             loss_v = torch.max((new - targets[rows]) ** 2, (near - targets[rows]) ** 2).mean() / 2
 """},
-    "minibatches of 64": ["--minibatch-size", "64"],
 }
 
 
@@ -918,6 +962,12 @@ def main():
     add("--env-id", nargs="+", help="default: three for PPO, else the script's own")
     add("--seed", type=int, nargs="+", default=[1, 2, 3])
     add("--total-steps", type=int, default=1_000_000)
+
+    add = add_study("processes", processes, "PPO: speed of one process and of two, together.py")
+    add("--env-id", nargs="+", default=["Humanoid-v5", "HalfCheetah-v5"])
+    add("--num-envs", type=int, default=16, help="in all")
+    add("--steps", type=int, default=40_960, help="at least, in every measurement")
+    add("--pairs", type=int, default=5, help="measurements of each, in turns")
 
     add = add_study("scaling", scaling, "A2C: speed against the number of environments")
     add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="first: ψ = 1")

@@ -1,0 +1,158 @@
+"""together.py of the README: PPO that plays in several processes, started by torchrun."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import benchmark
+import harness
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+import ppo_continuous as ppo
+
+# Runs together.py; writes down what this process plays with, what it plays, and what all play.
+PROBE = """
+import runpy, torch
+from torch import distributed
+import ppo_continuous as ppo
+seen, rollout, scale_rewards = [], ppo.rollout, ppo.scale_rewards
+
+def play(envs, agent, *rest):
+    weights = {name: x.clone() for name, x in agent.state_dict().items()}
+    result = rollout(envs, agent, *rest)
+    seen.append({"weights": weights, "batch": dict(result[0])})
+    return result
+
+def scale(rewards, *rest):
+    seen[-1]["rewards"] = rewards.clone()
+    rank = distributed.get_rank()
+    torch.save(seen, f"seen-{rank}.pt")
+    return scale_rewards(rewards, *rest)
+
+ppo.rollout, ppo.scale_rewards = play, scale
+runpy.run_path("together.py", run_name="__main__")
+"""
+SMALL = ["--env-id", "harness:Target-v0", "--num-envs", "2", "--rollout-steps", "16",
+         "--minibatch-size", "16", "--epochs", "2", "--eval-episodes", "2", "--num-evals", "2"]
+TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
+
+
+def torchrun(cwd, script, *arguments):
+    env = {**os.environ, "PYTHONPATH": str(harness.TESTS), "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(
+        [sys.executable, *TORCHRUN, script, *map(str, arguments)], cwd=cwd, env=env, text=True,
+        encoding="utf-8", stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
+
+
+def finish(process):
+    out, err = process.communicate(timeout=120)
+    return process.returncode, out, err
+
+
+@pytest.fixture(scope="module")
+def together(tmp_path_factory):
+    """A run of three updates in two processes, and what both of them saw."""
+    cwd = tmp_path_factory.mktemp("together")
+    benchmark.write_recipe(cwd)
+    (cwd / "probe.py").write_text(PROBE)
+    status, out, err = finish(torchrun(cwd, "probe.py", *SMALL, "--total-steps", "192"))
+    assert status == 0, err
+    assert "Warning" not in err
+    seen = [torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1)]
+    return cwd, out, *seen
+
+
+def test_all_processes_play_with_the_same_weights_which_learn(together):
+    *_, first, second = together
+    assert len(first) == len(second) == 3
+    for mine, theirs in zip(first, second):
+        for name, x in mine["weights"].items():
+            assert torch.equal(x, theirs["weights"][name]), name
+    for before, after in zip(first, first[1:]):
+        assert not torch.equal(before["weights"]["actor.0.weight"],
+                               after["weights"]["actor.0.weight"])
+
+
+def test_each_process_has_noise_and_episodes_of_its_own_and_gets_all_transitions(together):
+    *_, first, second = together
+    for mine, theirs in zip(first, second):
+        for name in ("obs", "samples"):
+            both = torch.cat([mine["batch"][name], theirs["batch"][name]], 1).flatten(0, 1)
+            assert len(both.unique(dim=0)) == len(both)
+        rewards = torch.cat([mine["batch"]["rewards"], theirs["batch"]["rewards"]], 1)
+        assert torch.equal(mine["rewards"], rewards)
+        assert torch.equal(theirs["rewards"], rewards)
+
+
+def test_the_first_update_is_that_of_one_process_with_all_environments(together, monkeypatch):
+    *_, first, second = together
+    rollout = ppo.rollout
+
+    def with_the_others(*args):
+        batch, obs, episodes = rollout(*args)
+        other = second[0]["batch"]
+        return {name: torch.cat([batch[name], other[name]], 1) for name in batch}, obs, episodes
+
+    monkeypatch.setattr(ppo, "rollout", with_the_others)
+    training = ppo.train(ppo.parse_args([*SMALL, "--total-steps", "192"]), seed=1)
+    next(training)
+    env_step, agent, *_ = next(training)
+    assert env_step == 2 * 2 * 16
+    for name, x in agent.state_dict().items():
+        assert torch.equal(x, first[1]["weights"][name]), name
+
+
+def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together):
+    cwd, out, *_ = together
+    folder = harness.run_folder(cwd) / "seed-1"
+    assert out.count("return ") == 1
+    assert pd.read_csv(folder / "metrics.csv")["env_step"].tolist() == [64, 128, 192]
+    episodes = pd.read_csv(folder / "episodes.csv")["env_step"]  # of one step each
+    assert sorted(episodes) == np.repeat(np.arange(4, 196, 4), 4).tolist()
+    assert pd.read_csv(folder / "evals.csv")["env_step"].tolist() == [0, 128, 192]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+class TestEnd:
+    def left(self, cwd):
+        """Processes that still work in `cwd`."""
+        time.sleep(0.5)
+        return [x for x in os.listdir("/proc") if x.isdigit() and os.path.exists(f"/proc/{x}/cwd")
+                and os.readlink(f"/proc/{x}/cwd") == str(cwd)]
+
+    def test_a_resumed_run_plays_other_noise_in_each_process_and_ctrl_c_ends_all(self, together):
+        cwd, *_ = together
+        checkpoint = harness.run_folder(cwd) / "seed-1/checkpoint.pt"
+        process = torchrun(cwd, "probe.py", "--resume", checkpoint, "--total-steps", "1e6",
+                           "--num-evals", "2000")
+        evals = checkpoint.with_name("evals.csv")
+        limit = time.time() + 100
+        while pd.read_csv(evals)["env_step"].iloc[-1] < 2000 and time.time() < limit:
+            time.sleep(0.2)
+        os.killpg(process.pid, signal.SIGINT)
+        status, *_ = finish(process)
+        assert status != 0
+        assert not self.left(cwd)
+        saved = torch.load(checkpoint, weights_only=True)
+        assert saved["tables"]["evals"][-1]["env_step"] >= 2000
+        assert pd.read_csv(evals)["env_step"].is_monotonic_increasing
+        mine, theirs = (torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
+        assert not torch.equal(mine[0]["batch"]["samples"], theirs[0]["batch"]["samples"])
+        assert torch.equal(mine[0]["weights"]["actor.0.weight"],
+                           theirs[0]["weights"]["actor.0.weight"])
+
+    def test_one_that_dies_ends_the_others_with_an_error(self, together):
+        cwd, *_ = together
+        (cwd / "dies.py").write_text(PROBE.replace(
+            "    rank = ", "    if len(seen) == 3 and distributed.get_rank() == 1: exit(7)\n"
+                           "    rank = "))
+        process = torchrun(cwd, "dies.py", *SMALL, "--total-steps", "1e6")
+        status, _, err = finish(process)
+        assert status != 0
+        assert "exitcode  : 7" in err
+        assert not self.left(cwd)
