@@ -21,17 +21,20 @@ It learns to land on the moon in two minutes: 1,000,000 steps, return 247 to 269
 In a state s (`obs` in the code) the actor, a network, gives each of K actions u a probability
 π(u|s) and draws one. The environment answers with a reward r and the next state, and so on until
 the episode ends.
-The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
-discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
-  1. Play a rollout: T steps in each of N environments with π.
-  2. Multiply r by a constant, so that V predicts moderate numbers.
+The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
+the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
+  1. Set the learning rate, which falls evenly to 0.
+     Play a rollout: T steps in each of N environments with π.
+  2. Multiply r by a constant, so that V is moderate, too.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)                 target of the critic: rewards that came, and V for the rest
-  5. With A standardised (mean 0, std 1), so that its unit does not matter, a step of Adam on
-         −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H),
-     the gradients of actor and critic each shortened to max_grad_norm if longer.
-  6. Update the mean and std that normalise s. Lower the learning rate, evenly to 0. Go to 1.
+     R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
+     (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
+  5. With A standardised (mean 0, std 1), so that neither its unit nor a constant error of V
+     matters, a step of Adam on
+         −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
+     The gradients of actor and critic are each shortened to max_grad_norm if they are longer.
+  6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
 Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
     settling on one action too early.
 Shapes: T steps of N environments; B rows of a batch; D numbers in s; K actions.
@@ -45,21 +48,23 @@ Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how 
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
 or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
 
-Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
-Look at one state, and let G(u) be the return to be expected after action u there. Then
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
+weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
     ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-(By the product rule there is also Σ_u π·∇G, for G is r plus γ times the expected return from the
-next state on. That is the same gradient there, times γ; and so on. So each step adds a term, that
-of step t with weight γ^t, which is usually left out, as here.) The rollout can estimate it: push
-up the probability of each action by how much followed it. A number b may be subtracted from G if
-it does not depend on the action, for E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With
-b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the same
-gradient on average, but less noise. A estimates it.
+(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
+own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
+Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
+like early ones.) So push up the probability of each action by how much followed it.
+A number b may be subtracted from G if it does not depend on the action, for
+E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
+than expected it turned out: on average the gradient stays the same, but it has less noise.
+A estimates G − V(s).
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
 episode has to be played to its end; many environments at a time, before long each at another point
 of its episode, so that a short rollout is varied, and one call of the actor serves all.
-Left out: workers that do not wait for each other ([1]); shared layers; images; continuous actions.
+Left out: workers that do not wait for each other (A3C, [1]; A2C's are synchronous); shared layers;
+images; continuous actions.
 
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
@@ -117,12 +122,12 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="that of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 rewards, λ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="λ: 0 trusts V, 1 the rewards")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="so no step goes far wrong")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -161,10 +166,10 @@ class RunningNorm(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, activation, output_gain):
-    """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
+    """Two hidden layers and a linear one, with orthogonal weights and biases of 0 at first.
 
     A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
-    an output gain of 0.01 π starts nearly alike in all states.
+    an output gain of 0.01 π starts nearly the same in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -216,8 +221,8 @@ def rollout(envs, agent, obs, num_steps, env_step):
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
     An environment whose episode ends starts the next one within the same step. Two observations
-    then follow obs[i]: the first one of the next episode, new_obs[i], from which π plays on, and
-    the last one of this episode, found in infos, which goes into next_obs and to V.
+    then follow obs[i]: new_obs[i], the first one of the next episode, from which π plays on, and
+    next_obs[i], the last one of this episode, found in infos, for V.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -248,7 +253,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
     A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). After both, A_{t+1} is of another episode, and
+    for the rewards that were cut off ([3] eq. 6). Either way A_{t+1} is of another episode: it is
     left out. After the last step of the rollout V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
@@ -264,7 +269,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Made for its gradient: minus that of E[G]. It need not fall."""
+    """−mean(A·log π); (B,) each. Its gradient estimates −∇E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -284,7 +289,7 @@ def optimise(agent, optimizer, batch, args):
         advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
-    # A = R − V is what V did not predict of R.
+    # A = R − V is what V did not predict of R: 1 is perfect, 0 no better than a constant.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     policy = agent.policy(obs)
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
@@ -310,7 +315,7 @@ def optimise(agent, optimizer, batch, args):
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
-    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
@@ -322,7 +327,7 @@ def train(args, seed):
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the last update
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 1
         optimizer.param_groups[1]["lr"] = args.critic_learning_rate * share
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"] *= args.reward_scale  # step 2
@@ -503,7 +508,7 @@ def resume(path, agent, optimizer):
 def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
-    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    A line is the mean over the seeds, its band reaches from the lowest to the highest. Before that,
     each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
     early, its last value goes on.
     """
@@ -516,7 +521,7 @@ def plot(folder, env_id):
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
-    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    curve = {"data": data, "x": "env step", "errorbar": ("pi", 100)}
     sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.7)
     figure = Figure(figsize=(12, 12), layout="constrained")
     for panel, column in enumerate(diagnostics, start=13):
@@ -529,7 +534,7 @@ def plot(folder, env_id):
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
         top.legend()
-    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: lowest to highest)"
     top.set(xlabel="environment steps", ylabel="return", title=title)
     figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 

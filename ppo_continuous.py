@@ -22,19 +22,22 @@ It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 
 In a state s (`obs` in the code) the actor, a network, has a probability density π(u|s) and draws u.
 The environment gets the action a = g(u), where g squeezes any number into the range that actions
 have. It answers with a reward r and the next state, and so on until the episode ends.
-The critic V(s), another network, predicts the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
-discounted sum of the rewards that follow s_t. Both see s normalised, with a running mean and std.
-  1. Play a rollout: T steps in each of N environments with π, called π_old from now on.
-  2. Divide r by the running std of F_t = r_t + γ·F_{t−1}, so that V predicts moderate numbers.
+The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
+the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
+  1. Set the learning rate, which falls evenly to 0.
+     Play a rollout: T steps in each of N environments with π, called π_old from now on.
+  2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; then V is moderate, too.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)                 target of the critic: rewards that came, and V for the rest
+     R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
+     (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
   5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
      If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
-     With A standardised (mean 0, std 1), so that its unit does not matter, a step of Adam on
-         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H,
-     its gradient shortened to max_grad_norm if it is longer.
-  6. Update the mean and std that normalise s. Lower the learning rate, evenly to 0. Go to 1.
+     With A standardised (mean 0, std 1), so that neither its unit nor a constant error of V
+     matters, a step of Adam on
+         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H.
+     Its gradient is shortened to max_grad_norm if it is longer.
+  6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
 Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if π is undecided, weight c_H;
     μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
 Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
@@ -48,19 +51,21 @@ Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how 
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
 or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
 
-Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
-Look at one state, and let G(u) be the return to be expected after action u there. Then
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
+weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(By the product rule there is also ∫π·∇G du, for G is r plus γ times the expected return from the
-next state on. That is the same gradient there, times γ; and so on. So each step adds a term, that
-of step t with weight γ^t, which is usually left out, as here.) The rollout can estimate it: push
-up the probability of each action by how much followed it. A number b may be subtracted from G if
-it does not depend on the action, for E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With
-b = V(s), an action counts by how much better than expected it turned out: G − V(s) has the same
-gradient on average, but less noise. A estimates it.
-PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ, for
-E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du has the gradient ∫∇π·A du. The farther π is from π_old,
-the noisier this is, and the states are still those of π_old. So KL limit and clip keep π close.
+(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
+own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
+Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
+like early ones.) So push up the probability of each action by how much followed it.
+A number b may be subtracted from G if it does not depend on the action, for
+E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
+than expected it turned out: on average the gradient stays the same, but it has less noise.
+A estimates G − V(s).
+PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ: the mean
+over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du. The
+farther π is from π_old, the more ρ varies, and the more noise this has; and the states are still
+those of π_old. So KL limit and clip keep π close.
 
 = A2C (a2c_vector.py) plus: continuous actions, a running reward scale (step 2), several epochs of
 minibatches, the KL limit, ρ and its clip (step 5). Left out: recurrent networks, images.
@@ -120,16 +125,16 @@ def parse_args(argv=None):
     add("--minibatch-size", type=number(int, 2), default=512, help="steps of a minibatch, M")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 rewards, λ")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="λ: 0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longest gradient of a step")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="so no step goes far wrong")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; all else has 1")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -168,10 +173,10 @@ class RunningNorm(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, activation, output_gain):
-    """Two hidden layers and a linear one, with orthogonal weights and no bias at first.
+    """Two hidden layers and a linear one, with orthogonal weights and biases of 0 at first.
 
     A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
-    an output gain of 0.01 π starts nearly alike in all states.
+    an output gain of 0.01 π starts nearly the same in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
@@ -217,8 +222,7 @@ class Agent(nn.Module):
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
-        noise = 0.0 if deterministic else torch.randn_like(policy.mean)
-        samples = policy.mean + policy.stddev * noise
+        samples = policy.mode if deterministic else policy.sample()
         actions = torch.lerp(self.low, self.high, (torch.tanh(samples) + 1) / 2)
         return samples.cpu().numpy(), actions.cpu().numpy()
 
@@ -233,8 +237,8 @@ def rollout(envs, agent, obs, num_steps, env_step):
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
     An environment whose episode ends starts the next one within the same step. Two observations
-    then follow obs[i]: the first one of the next episode, new_obs[i], from which π plays on, and
-    the last one of this episode, found in infos, which goes into next_obs and to V.
+    then follow obs[i]: new_obs[i], the first one of the next episode, from which π plays on, and
+    next_obs[i], the last one of this episode, found in infos, for V.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -264,9 +268,10 @@ def rollout(envs, agent, obs, num_steps, env_step):
 def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
 
-    F, of the rewards so far, is known at once and varies about as much as what V predicts. The mean
-    of r is not subtracted: a reward of 1 for each step would become 0. `past_return` (N,) is F of
-    the last rollout, 0 where an episode ended. Returned with the rewards is F of this one.
+    V predicts a discounted sum of coming rewards. F is one of past rewards, which varies about as
+    much and is known at once. The mean of r is not subtracted: a reward of 1 for each step would
+    become 0. `past_return` (N,) is F at the end of the last rollout, 0 where an episode ended.
+    Returned with the rewards is that of this one.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -280,7 +285,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
 
     A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). After both, A_{t+1} is of another episode, and
+    for the rewards that were cut off ([3] eq. 6). Either way A_{t+1} is of another episode: it is
     left out. After the last step of the rollout V(s_{t+1}) stands for all that follows.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
@@ -332,7 +337,7 @@ def optimise(agent, optimizer, batch, args):
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
         old_log_probs = agent.policy(obs).log_prob(samples).sum(-1)  # no step yet: π is still π_old
-    # A = R − V is what V did not predict of R.
+    # A = R − V is what V did not predict of R: 1 is perfect, 0 no better than a constant.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     logs = []
     for _ in range(args.epochs):
@@ -367,7 +372,7 @@ def optimise(agent, optimizer, batch, args):
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
-    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
@@ -379,7 +384,7 @@ def train(args, seed):
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 6 of the last update
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 1
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
@@ -544,7 +549,7 @@ def resume(path, agent, optimizer):
 def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
-    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    A line is the mean over the seeds, its band reaches from the lowest to the highest. Before that,
     each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
     early, its last value goes on.
     """
@@ -557,7 +562,7 @@ def plot(folder, env_id):
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
-    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    curve = {"data": data, "x": "env step", "errorbar": ("pi", 100)}
     sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.7)
     figure = Figure(figsize=(12, 12), layout="constrained")
     for panel, column in enumerate(diagnostics, start=13):
@@ -570,7 +575,7 @@ def plot(folder, env_id):
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
         top.legend()
-    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: lowest to highest)"
     top.set(xlabel="environment steps", ylabel="return", title=title)
     figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 

@@ -15,7 +15,7 @@
 """REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
 It learns to balance a pole on a cart in half a minute: 100,000 steps, return 1000 of 1000 possible,
-one for each step that the pole stands.
+one for each step that the pole stands, of 1000 at most.
 `--help` lists all options; each training leaves a folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
@@ -23,19 +23,21 @@ one for each step that the pole stands.
 In a state s (`obs` in the code) the policy π(u|s), a probability density, draws u. The environment
 gets u, clipped to the range of its actions. It answers with a reward r and the next state, and so
 on until the episode ends after T steps.
-  1. Play a few episodes with π, the batch:  u_t ~ Normal(μ(s_t), σ(s_t)).
+  1. Set the learning rate, which falls evenly to 0.
+     Play a few episodes with π, the batch:  u_t ~ Normal(μ(s_t), σ(s_t)).
   2. G_t = r_t + γ·G_{t+1}   the reward-to-go: the discounted rewards that u_t can affect.
      G_T = 0 if the task ended there (the pole fell). If only time ran out, rewards could have
-     followed: then G_T = V(s_T) with --baseline value ([3]); without it 0, which is too low here.
+     followed: then G_T = V(s_T) with --baseline value ([3]); without it 0, which is too low if
+     rewards are positive, as here.
   3. A_t = G_t − b_t   the advantage over a baseline b, which --baseline chooses:
        none   b_t = 0
        mean   b_t = the mean of G over the batch; A is also divided by the batch's std of G,
               so that it has the same size in every batch
        value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
   4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over the batch.
-     (Without a critic V = 0, and the second part is a constant.)
-  5. Lower the learning rate, evenly to 0. Throw the batch away, for the new π would play others.
-     Go to 1.
+     A and G are numbers there: no gradient goes through them. (Without a critic V = 0.)
+  5. Throw the batch away, for the new π would play other episodes. Go to 1, until enough steps
+     were played.
 Symbols: γ discount: G looks about 1/(1 − γ) = 50 steps ahead, and so varies less than a plain sum;
     μ, σ mean and standard deviation of u. In the code, u is `samples`, clipped `actions`; G is
     `returns`, V(s) `values`.
@@ -43,20 +45,20 @@ Shapes: T steps of an episode; B steps of a batch; N states at a time; D numbers
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
     those of training, without evaluations.
 
-Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient in the weights of π.
-Look at one state, and let G(u) be the mean of all G that may follow u there. Then
+Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
+weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(By the product rule there is also ∫π·∇G du, for G is r plus γ times the expected G of the next
-state. That is the same gradient there, times γ; and so on. So each step adds a term, that of step t
-with weight γ^t, which is usually left out, as here, so that late steps count like early ones: [1];
-[2] section 13.3.) The batch can estimate it: push up the probability of each action by how much
+(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
+own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
+Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
+like early ones: [1]; [2] section 13.3.) So push up the probability of each action by how much
 reward followed it.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
-others, and the estimate varies a lot from batch to batch. A baseline takes away what all G have in
-common, and with it most of this noise. On average it changes nothing: if b does not depend on u,
-E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
-Small biases remain: with `mean`, G_t is a part of its own baseline; a mean divides by the number of
-steps, which depends on the actions, too; and G_T is a guess where time ran out.
+others, and the estimate varies a lot from batch to batch. A baseline takes away what was to be
+expected anyway, and with it most of this noise. On average it changes nothing: if b does not depend
+on u, E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
+Small biases remain: γ^t is left out; with `mean`, G_t is a part of its own baseline; a mean divides
+by the number of steps, which depends on the actions, too; and G_T is a guess where time ran out.
 
 Left out: V(s) in place of rewards still to come also where time did not run out, so that no episode
 has to be played to its end, and several environments at a time (a2c_vector.py adds both); several
@@ -109,11 +111,11 @@ def parse_args(argv=None):
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes of an update")
-    add("--baseline", choices=("none", "mean", "value"), default="value", help="b; value: G_T, too")
+    add("--baseline", choices=("none", "mean", "value"), default="value", help="b, taken from G")
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after one at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -159,8 +161,7 @@ class Agent(nn.Module):
         Learning sees only u, of which π is the density, not what clipping makes of it.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
-        noise = 0.0 if deterministic else torch.randn_like(policy.mean)
-        samples = policy.mean + policy.stddev * noise
+        samples = policy.mode if deterministic else policy.sample()
         actions = samples.clamp(self.low, self.high)
         return samples.cpu().numpy(), actions.cpu().numpy()
 
@@ -222,7 +223,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Made for its gradient: minus that of E[G]. It need not fall."""
+    """−mean(A·log π); (B,) each. Its gradient estimates −∇E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -242,7 +243,7 @@ def optimise(agent, optimizer, batch, baseline):
     loss_pi = policy_loss(policy.log_prob(batch["samples"]).sum(-1), advantages)
     loss_v = value_loss(values, batch["returns"])
     optimizer.zero_grad()  # step 4
-    (loss_pi + loss_v).backward()  # one for π, one for V: they share no weights
+    (loss_pi + loss_v).backward()  # π and V share no weights
     weights = nn.ModuleList((agent.trunk, agent.mean, agent.raw_std)).parameters()  # those of π
     gradient_norm = nn.utils.get_total_norm([p.grad for p in weights], error_if_nonfinite=True)
     optimizer.step()
@@ -257,7 +258,7 @@ def optimise(agent, optimizer, batch, baseline):
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
     torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
-    torch.manual_seed(*make_seeds(seed, stream=0, count=1))
+    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     env = record_episodes(gym.make(args.env_id))
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
     agent = Agent(env.observation_space, env.action_space, args).to(args.device)
@@ -266,7 +267,7 @@ def train(args, seed):
     yield env_step, agent, optimizer, [], {}
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 5 of the last update
+        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 1
         batch, episodes = rollout(env, agent, args.batch_episodes, args.gamma, env_step)  # 1 and 2
         diagnostics = optimise(agent, optimizer, batch, args.baseline)  # steps 3 and 4
         env_step += len(batch["obs"])
@@ -404,7 +405,7 @@ def save(args, seed, folder, tables, agent, optimizer):
 def plot(folder, env_id):
     """learning_curve.png: returns on top, below them the columns of metrics.csv.
 
-    A line is the mean over the seeds, its band a 95% interval (1.96 standard errors). Before that,
+    A line is the mean over the seeds, its band reaches from the lowest to the highest. Before that,
     each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
     early, its last value goes on.
     """
@@ -417,7 +418,7 @@ def plot(folder, env_id):
     data = data.interpolate("index").stack(future_stack=True).reset_index()
     data.columns = data.columns.str.replace("_", " ")
     diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
-    curve = {"data": data, "x": "env step", "errorbar": ("se", 1.96)}
+    curve = {"data": data, "x": "env step", "errorbar": ("pi", 100)}
     sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.7)
     figure = Figure(figsize=(12, 12), layout="constrained")
     for panel, column in enumerate(diagnostics, start=13):
@@ -430,7 +431,7 @@ def plot(folder, env_id):
     if threshold is not None:
         top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
         top.legend()
-    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: 95% interval)"
+    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: lowest to highest)"
     top.set(xlabel="environment steps", ylabel="return", title=title)
     figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
 

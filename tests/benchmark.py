@@ -21,6 +21,7 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import a2c_vector as a2c
@@ -396,20 +397,20 @@ def summarise(data):
                round(seeds["minutes"].mean(), 1), round(seeds["steps_per_second"].mean()))
 
 
-def in_bins(curves, y):
-    """Means of `y` in 60 bins of steps, per seed: not all seeds have rows at the same steps."""
-    width = curves.groupby("env_id")["env_step"].transform("max") / 60
+def in_bins(curves, y, count=60):
+    """Means of `y` in bins of steps, per seed: not all seeds have rows at the same steps."""
+    width = curves.groupby("env_id")["env_step"].transform("max") / count
     curves = curves.assign(env_step=np.ceil(curves["env_step"] / width) * width)
     keys = ["env_id", "flags", "seed", "env_step"]
     return curves.groupby(keys, sort=False)[y].mean().reset_index()
 
 
 def plot(evals, path):
-    """A panel per environment: mean ± one std over seeds."""
+    """A panel per environment: mean, lowest and highest over seeds."""
     hue = "flags" if evals["flags"].nunique() > 1 else None
     grid = sns.relplot(in_bins(evals, "return_mean"), x="env_step", y="return_mean", hue=hue,
                        col="env_id", col_wrap=min(4, evals["env_id"].nunique()), height=2.6,
-                       kind="line", errorbar="sd", aspect=1.3,
+                       kind="line", errorbar=("pi", 100), aspect=1.3,
                        facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_axis_labels("environment steps", "evaluation return (raw)")
     for axis in grid.axes.flat:
@@ -485,6 +486,58 @@ def returns(args):
     if args.plot:
         plot(evals, args.out_dir / f"{args.study}.png")
     print_versions(data)
+
+
+# --- Gallery --------------------------------------------------------------------------------------
+
+
+def film(script, checkpoint, path, seconds=8, fps=12.5, size=(240, 160)):
+    """A GIF of an agent's first episode, or of its beginning, around what moves in it."""
+    module, saved = SCRIPTS[script], torch.load(checkpoint, weights_only=True)
+    args = argparse.Namespace(**saved["args"])
+    env = gym.wrappers.RenderCollection(gym.make(args.env_id, render_mode="rgb_array"))
+    agent = module.Agent(env.observation_space, env.action_space, args)
+    agent.load_state_dict(saved["agent"])
+    module.evaluate(agent, [module.record_episodes(env)], args.seed[0])
+    pictures, every = env.render(), env.metadata["render_fps"] / fps
+    count = min(int(seconds * fps), int(len(pictures) / every))
+    pictures = [pictures[int(i * every)] for i in range(count)]
+    moves = np.ptp(pictures, axis=0).max(-1) > 30
+    (top, left), (bottom, right) = np.argwhere(moves).min(0), np.argwhere(moves).max(0)
+    height = min(1.5 * max(bottom - top, (right - left) / 1.5), len(moves), moves.shape[1] / 1.5)
+    x = np.clip((left + right) / 2, 0.75 * height, moves.shape[1] - 0.75 * height)
+    y = np.clip((top + bottom) / 2, height / 2, len(moves) - height / 2)
+    box = x - 0.75 * height, y - height / 2, x + 0.75 * height, y + height / 2
+    frames = [Image.fromarray(picture).resize(size, box=box).quantize(64, dither=0)
+              for picture in pictures]
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=1000 / fps, loop=0)
+
+
+def draw_curve(evals, env_id, path):
+    """Evaluation returns of all seeds, small enough to stand below a GIF."""
+    figure = Figure(figsize=(4, 2.8), layout="constrained")
+    axis = figure.add_subplot()
+    sns.lineplot(in_bins(evals, "return_mean", count=20), x="env_step", y="return_mean",
+                 errorbar=("pi", 100), ax=axis)
+    threshold = gym.spec(env_id).reward_threshold
+    axis.axhline(threshold, color="grey", linestyle="--", linewidth=1)
+    axis.text(0, threshold, f"solved: {threshold:g}", va="bottom", fontsize=8)
+    axis.set(xlabel="environment steps", ylabel="evaluation return",
+             title=f"mean, lowest and highest of {evals['seed'].nunique()} seeds")
+    axis.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:g}k")
+    figure.savefig(path, dpi=100)
+
+
+def gallery(args):
+    """A GIF and a learning curve for the finished run of each script."""
+    if sys.platform == "linux":
+        os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
+    for folder in args.runs:
+        config = json.loads((folder / "args.json").read_text())
+        script, seeds = Path(config["command"][0]).stem, config["seed"]
+        _, evals, _ = collect(script, [folder])
+        film(script, folder / f"seed-{seeds[0]}/checkpoint.pt", args.out_dir / f"{script}.gif")
+        draw_curve(evals, config["env_id"], args.out_dir / f"{script}.png")
 
 
 # --- Baselines ------------------------------------------------------------------------------------
@@ -576,10 +629,10 @@ def baselines(args):
     colours = dict(zip(BASELINES, sns.color_palette()))
     curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("value")), "return")
     sns.lineplot(curves, x="env_step", y="return", hue="flags", palette=colours, ax=left,
-                 hue_order=BASELINES, errorbar=("se", 1.96))
+                 hue_order=BASELINES, errorbar=("pi", 100))
     left.legend(title="--baseline")
     left.set(xlabel="environment steps", ylabel="training return (raw)",
-             title=f"{data['seed'].nunique()} seeds: mean ± 1.96 s.e.")
+             title=f"mean, lowest and highest of {data['seed'].nunique()} seeds")
     sns.barplot(table, x="baseline", y="relative", hue="baseline", palette=colours, ax=right)
     for bars in right.containers:
         right.bar_label(bars, fmt="%.3g")
@@ -917,7 +970,7 @@ def draw_maps(maps, args, agents):
 # --- main -----------------------------------------------------------------------------------------
 
 
-def main():
+def make_parser():
     parser = argparse.ArgumentParser(description=__doc__.split(":")[0])
     studies = parser.add_subparsers(dest="study", required=True)
 
@@ -952,6 +1005,9 @@ def main():
     add("--batches", type=int, default=500, help="of which the noise is measured")
     add("--halfway", type=float, default=100, help="return of the policy that it is measured for")
 
+    add = add_study("gallery", gallery, "a GIF and a learning curve of finished runs")
+    add("--runs", type=Path, nargs="+", required=True, help="one run folder for each script")
+
     add = add_study("ablation", ablation, "PPO with one detail changed at a time")
     add("--only", nargs="+", choices=ABLATIONS, metavar="VARIANT", help="default: all")
     add("--env-id", nargs="+", default=["HalfCheetah-v5", "Hopper-v5"])
@@ -978,7 +1034,15 @@ def main():
     add("checkpoints", type=Path, nargs="+", metavar="CHECKPOINT")
     add("--episodes", type=int, default=20, help="in every cell of the grid")
 
-    args = parser.parse_args()
+    return parser
+
+
+def parse_args(argv=None):
+    return make_parser().parse_args(argv)
+
+
+def main():
+    args = parse_args()
     args.out_dir.mkdir(parents=True, exist_ok=True)
     args.function(args)
 

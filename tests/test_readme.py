@@ -1,0 +1,167 @@
+"""The README stays true: commands, snippets, flags, links and names."""
+
+import argparse
+import ast
+import importlib
+import inspect
+import io
+import os
+import re
+import subprocess
+import sys
+import tokenize
+
+import benchmark
+import harness
+import pytest
+
+TEXT = (harness.ROOT / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
+LINES = [line.split("#")[0].strip() for kind, block in BLOCKS if not kind
+         for line in block.splitlines()]
+INLINE = re.findall(r"`([^`]+)`", re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE))
+COMMANDS = [" ".join(x.split()) for x in (*LINES, *INLINE)]
+# Without paths that only a user's machine has, or that stand for many.
+SCRIPT_CALLS = sorted({
+    match for x in COMMANDS for match in re.findall(r"python ((?:[a-z0-9_]+)\.py(?: .*)?)$", x)
+    if not re.search(r"my_module\.py|--watch|--resume|SEED|SLURM", match)})
+STUDIES = sorted({
+    match for x in COMMANDS for match in re.findall(r"python tests/benchmark\.py (.*)$", x)})
+SNIPPETS = [block for kind, block in BLOCKS if kind == "python"]
+SCRIPTS = benchmark.SCRIPTS
+
+
+def snippet(words):
+    (block,) = [x for x in SNIPPETS if words in x]
+    return block
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A new folder, in which my_module.py lies."""
+    (tmp_path / "my_module.py").write_text(snippet("class Push"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize("call", SCRIPT_CALLS)
+def test_every_call_of_a_script_makes_an_update(call, here):
+    name, *flags = call.split()
+    module = importlib.import_module(name.removesuffix(".py"))
+    if "--help" in flags:
+        with pytest.raises(SystemExit, match="0"):
+            module.parse_args(flags)
+        return
+    args = module.parse_args(flags)
+    training = module.train(args, args.seed[0])
+    next(training)
+    env_step, *_ = next(training)
+    assert env_step > 0
+    training.close()
+
+
+def test_there_are_calls_to_test():
+    assert len(SCRIPT_CALLS) > 5
+    assert len(STUDIES) > 5
+
+
+@pytest.mark.parametrize("call", STUDIES)
+def test_every_call_of_the_benchmark_has_the_arguments_that_it_takes(call):
+    args = benchmark.parse_args(call.replace("…", "x").split())
+    assert callable(args.function)
+
+
+def test_the_environment_of_your_own_is_checked_and_played(here):
+    out = subprocess.run([sys.executable, *harness.STRICT, "my_module.py"], check=True, text=True,
+                         capture_output=True).stdout
+    assert "return with random actions" in out
+
+
+def test_the_loop_of_your_own_runs(here, capsys):
+    exec(snippet("for env_step, agent").replace("30000", "3000"), {})
+    assert re.search(r"\d+ steps, return \d+, KL 0\.\d+", capsys.readouterr().out)
+
+
+def test_the_cell_of_the_notebook_that_takes_a_function_apart_gives_discounted_returns():
+    *lines, last = snippet("compute_gae(one").strip().splitlines()
+    scope = {}
+    exec("\n".join(lines), scope)
+    advantages = eval(last, scope).flatten().tolist()
+    assert advantages == pytest.approx([4.0951, 3.439, 2.71, 1.9, 1])
+
+
+def test_every_snippet_compiles():
+    for block in SNIPPETS:
+        compile(re.sub(r"^!.*$", "", block, flags=re.MULTILINE), "README", "exec")
+
+
+def flags_of(parser):
+    for action in parser._actions:
+        yield from ((flag, action.help) for flag in action.option_strings)
+        if isinstance(action, argparse._SubParsersAction):
+            for study in action.choices.values():
+                yield from flags_of(study)
+
+
+def test_every_flag_in_the_text_exists():
+    known = {flag for flag, _ in flags_of(benchmark.make_parser())}
+    for module in SCRIPTS.values():
+        known |= {f"--{name.replace('_', '-')}" for name in vars(module.parse_args([]))}
+    known |= {"--help", "--suppress-common-lines"}
+    known |= {"--standalone", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of torchrun
+    known |= {"--array", "--cpus-per-task", "--time"}  # of SLURM
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_every_flag_of_a_script_is_explained(name, capsys):
+    with pytest.raises(SystemExit):
+        SCRIPTS[name].parse_args(["--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    for flag in vars(SCRIPTS[name].parse_args([])):
+        words = re.search(rf"--{flag.replace('_', '-')} (.*?)(?= --|$)", text).group(1)
+        assert re.search(r"[a-z]{3}", words.split("(default")[0]), flag
+
+
+def test_links_inside_the_repository_resolve_and_no_asset_is_left_over():
+    links = {x for x in re.findall(r"\]\(([^)#\s]+)", TEXT) if "://" not in x}
+    assert links
+    for link in links:
+        assert (harness.ROOT / link).exists(), link
+    assets = {f"assets/{x}" for x in os.listdir(harness.ROOT / "assets")}
+    assert assets == {x for x in links if x.startswith("assets/")}
+
+
+def test_every_function_and_test_that_is_named_exists():
+    sources = "\n".join(x.read_text(encoding="utf-8") for x in harness.TESTS.glob("*.py"))
+    for name in re.findall(r"`(test_\w+)`", TEXT):
+        assert f"def {name}(" in sources, name
+    table = TEXT.split("| in the mathematics | in the code |")[1].split("\n\n")[0]
+    names = re.findall(r"`(\w+)`", table)
+    assert len(names) > 5
+    for name in names:
+        assert any(inspect.isfunction(getattr(x, name, None)) for x in SCRIPTS.values()), name
+
+
+def test_the_table_at_the_top_counts_lines_right():
+    for name, module in SCRIPTS.items():
+        (row,) = re.findall(rf"^\| `{name}\.py` \|.*seeds.*\|$", TEXT, re.MULTILINE)
+        assert f"| {code_lines(module)} |" in row, (name, code_lines(module))
+
+
+def code_lines(module):
+    """Lines of a script that are neither blank nor comment nor docstring."""
+    text = inspect.getsource(module)
+    docs = set()
+    for node in ast.walk(ast.parse(text)):
+        kinds = ast.Module, ast.FunctionDef, ast.ClassDef
+        if isinstance(node, kinds) and ast.get_docstring(node):
+            docs.update(range(node.body[0].lineno, node.body[0].end_lineno + 1))
+    skip = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
+            tokenize.ENDMARKER}
+    lines = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type not in skip:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    return len(lines - docs)
