@@ -431,7 +431,7 @@ def train_or_load(args):
                    "--out-dir", args.out_dir, *args.extra)
         for env_id, steps in zip(env_ids, totals) for flags in args.compare]
     data, evals, episodes = collect(args.script, folders)
-    data.to_csv(args.out_dir / f"{args.study}.csv", index=False)
+    data.drop(columns="folder").to_csv(args.out_dir / f"{args.study}.csv", index=False)
     print_table(["environment", "steps", "mean ± std over seeds", "every seed",
                  "training, last 100 episodes", "minutes per seed", "steps/s"], summarise(data))
     print("", *folders, sep="\n")
@@ -626,7 +626,7 @@ def baselines(args):
     episodes["baseline"] = episodes["flags"].str.extract(r"--baseline (\w+)", expand=False)
     figure = Figure(figsize=(11, 4), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-    colours = dict(zip(BASELINES, sns.color_palette()))
+    colours = dict(zip(BASELINES, sns.color_palette("colorblind")))
     curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("value")), "return")
     sns.lineplot(curves, x="env_step", y="return", hue="flags", palette=colours, ax=left,
                  hue_order=BASELINES, errorbar=("pi", 100))
@@ -638,8 +638,7 @@ def baselines(args):
         right.bar_label(bars, fmt="%.3g")
     right.margins(y=0.1)
     right.set(xlabel="--baseline", ylabel="total variance, relative to none",
-              title=f"noise of the gradient, one policy, {args.batches} batches\n"
-                    "(mean: times the std it divides by)")
+              title=f"noise of the gradient, one policy, {args.batches} batches")
     figure.savefig(args.out_dir / "baselines.png", dpi=100)
     print_versions(data)
 
@@ -691,17 +690,18 @@ ABLATIONS = {
 }
 
 
-def write_variant(change, folder):
-    """ppo_continuous.py in a folder of its own, changed; returns its path and its flags."""
-    text, path = Path(ppo.__file__).read_text(encoding="utf-8"), folder / f"{PPO}.py"
+def write_variant(change, folder, script=PPO):
+    """The script in a folder of its own, changed; returns its path and its flags."""
+    path = folder / f"{script}.py"
+    text = Path(SCRIPTS[script].__file__).read_text(encoding="utf-8")
     edits = change if isinstance(change, dict) else {}
     for old, new in edits.items():
         if text.count(old) != 1:
-            sys.exit(f"error: not once in {PPO}.py: {old}")
+            sys.exit(f"error: not once in {script}.py: {old}")
         text = text.replace(old, new)
     folder.mkdir(parents=True, exist_ok=True)
     if path.exists() and path.read_text(encoding="utf-8") != text:
-        sys.exit(f"error: {folder} holds runs of another version of {PPO}.py")
+        sys.exit(f"error: {folder} holds runs of another version of {script}.py")
     path.write_text(text, encoding="utf-8")
     return path, [] if edits else change
 
@@ -715,7 +715,7 @@ def finished_run(home, env_id, seed, steps):
     return None
 
 
-def ablate(home, path, flags, env_id, seed, steps):
+def train_variant(home, path, flags, env_id, seed, steps):
     """The last evaluation of one run."""
     folder = finished_run(home, env_id, seed, steps) or run_script(
         path, "--env-id", env_id, "--seed", seed, "--total-steps", steps, "--num-evals", 4,
@@ -739,8 +739,8 @@ def ablation(args):
     variants = {name: write_variant(ABLATIONS[name], home[name]) for name in ABLATIONS}
     jobs = [(name, env_id, seed) for seed in args.seed for name in names for env_id in args.env_id]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # a process each
-        runs = [pool.submit(ablate, home[name], *variants[name], env_id, seed, args.total_steps)
-                for name, env_id, seed in jobs]
+        runs = [pool.submit(train_variant, home[name], *variants[name], env_id, seed,
+                            args.total_steps) for name, env_id, seed in jobs]
         data = pd.DataFrame(jobs, columns=["variant", "env_id", "seed"])
         data["return_mean"] = [run.result() for run in runs]
     data.to_csv(args.out_dir / "ablation.csv", index=False)
@@ -779,6 +779,46 @@ def draw_ablation(table, args):
     figure.suptitle(f"PPO with one detail changed: {len(args.seed)} seeds, "
                     f"{args.total_steps:,} steps, 95% intervals (red: without 0)")
     figure.savefig(args.out_dir / "ablation.png", dpi=100)
+
+
+# --- Exercises ------------------------------------------------------------------------------------
+
+
+# What the README's exercises change: as ABLATIONS, in a script's default task.
+EXERCISES = {
+    "no baseline": (REINFORCE, ["--baseline", "none"]),
+    "a short sight": (REINFORCE, ["--gamma", "0.9"]),
+    "one environment": (A2C, ["--num-envs", "1", "--rollout-steps", "512"]),
+    "λ = 0": (A2C, ["--gae-lambda", "0"]),
+    "λ = 1": (A2C, ["--gae-lambda", "1"]),
+    "no entropy bonus": (A2C, ["--entropy-coef", "0"]),
+    "neither clip nor KL limit": (PPO, ["--clip-eps", "1e9", "--max-kl", "1e9"]),
+    "one epoch": (PPO, ["--epochs", "1"]),
+    "time limits are deaths": (PPO, {'"terminated": terminated': '"terminated": done'}),
+    "states not normalised": (PPO, {'agent.norm.update(batch["obs"].flatten(0, 1))': "pass"}),
+    "σ stays as it is": (PPO, {
+        "args.log_std / args.std_speed))": "args.log_std / args.std_speed), requires_grad=False)"}),
+    "another reward": (PPO, {
+        "        done = terminated | truncated\n":
+            "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n"}),
+}
+
+
+def exercises(args):
+    """The answers to the README's exercises: every seed of every change."""
+    home = {name: args.out_dir / re.sub(r"\W+", "-", name) for name in EXERCISES}
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # a process each
+        runs = {name: [] for name in EXERCISES}
+        for name, (script, change) in EXERCISES.items():
+            variant = write_variant(change, home[name], script)
+            task = DEFAULTS[script]["env_id"], DEFAULTS[script]["total_steps"]
+            for seed in SEEDS[script][:5]:
+                runs[name].append(
+                    pool.submit(train_variant, home[name], *variant, task[0], seed, task[1]))
+        rows = [[name, EXERCISES[name][0], ", ".join(f"{run.result():.0f}" for run in jobs)]
+                for name, jobs in runs.items()]
+    print_table(["exercise", "script", "returns of five seeds"], rows)
+    print_machine(json.dumps(installed()))
 
 
 # --- Race -----------------------------------------------------------------------------------------
@@ -1013,6 +1053,8 @@ def make_parser():
     add("--env-id", nargs="+", default=["HalfCheetah-v5", "Hopper-v5"])
     add("--seed", type=int, nargs="+", default=SEEDS[PPO])
     add("--total-steps", type=int, default=500_000, help="what is finished is not trained again")
+
+    add_study("exercises", exercises, "the answers to the exercises of the README")
 
     add = add_study("race", race, "return against minutes, ours and that of stable-baselines3")
     add("--env-id", nargs="+", help="default: three for PPO, else the script's own")

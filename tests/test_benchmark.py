@@ -56,6 +56,13 @@ def test_each_variant_of_the_ablation_runs_and_learns_something_else(
     assert not torch.equal(weights, usual_weights)
 
 
+def test_every_exercise_changes_what_it_says(tmp_path):
+    for i, (script, change) in enumerate(benchmark.EXERCISES.values()):
+        path, flags = benchmark.write_variant(change, tmp_path / str(i), script)
+        assert benchmark.SCRIPTS[script].parse_args(flags)
+        compile(path.read_text(encoding="utf-8"), path, "exec")
+
+
 def test_a_variant_whose_text_is_not_there_is_an_error(tmp_path):
     with pytest.raises(SystemExit, match="no such line"):
         benchmark.write_variant({"no such line": ""}, tmp_path)

@@ -13,6 +13,7 @@ import tokenize
 
 import benchmark
 import harness
+import pandas as pd
 import pytest
 
 TEXT = (harness.ROOT / "README.md").read_text(encoding="utf-8")
@@ -142,6 +143,44 @@ def test_every_function_and_test_that_is_named_exists():
     assert len(names) > 5
     for name in names:
         assert any(inspect.isfunction(getattr(x, name, None)) for x in SCRIPTS.values()), name
+
+
+def numbers(cell):
+    return [float(x.replace("−", "-").replace(",", "")) for x in re.findall(r"[−\d.]+", cell)]
+
+
+def rounded(column, digits):
+    return [round(x, digits) for x in column]
+
+
+def test_tables_of_a2c_and_reinforce_are_those_of_the_csv_files():
+    data = pd.read_csv(harness.ROOT / "assets/a2c_returns.csv").sort_values("seed")
+    assert data["seed"].tolist() == list(range(1, 11))
+    (row,) = re.findall(r"^\| 1,000,448 \|.*$", TEXT, re.MULTILINE)
+    _, _, spread, every, _ = row.split("|")
+    returns = data["eval_return_mean"]
+    assert numbers(every) == rounded(returns, 1)
+    assert numbers(spread) == rounded([returns.mean(), returns.std()], 1)
+    data = pd.read_csv(harness.ROOT / "assets/baselines.csv")
+    noise = pd.read_csv(harness.ROOT / "assets/variance.csv").set_index("baseline")["relative"]
+    for name, runs in data.groupby("flags"):
+        name = name.split()[1]
+        (row,) = re.findall(rf"^\| `{name}`.*\d \|$", TEXT, re.MULTILINE)
+        _, _, variance, every, training, _ = row.split("|")
+        assert numbers(variance) == [round(noise[name], 2)]
+        assert numbers(every) == rounded(runs["eval_return_mean"], 0)
+        assert numbers(training) == rounded(runs["last_100_returns"], 0)
+
+
+def test_the_table_of_robustness_is_that_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/robustness.csv")
+    for trained, runs in data.groupby("trained"):
+        (row,) = re.findall(rf"^\| `?{trained}`? \|.*$", TEXT, re.MULTILINE)
+        usual = runs["gravity"].eq(-10) & runs["wind_power"].eq(0)
+        for cell, worlds in ((2, usual | True), (4, usual)):
+            agents = runs[worlds].groupby("seed")["return_mean"].mean()
+            assert len(agents) == 10
+            assert numbers(row.split("|")[cell]) == rounded([agents.mean(), agents.std()], 1)
 
 
 def test_the_table_at_the_top_counts_lines_right():
