@@ -85,16 +85,22 @@ def test_the_loop_of_your_own_runs(here, capsys):
 
 
 def test_the_cell_of_the_notebook_that_takes_a_function_apart_gives_discounted_returns():
-    *lines, last = snippet("compute_gae(one").strip().splitlines()
+    setup, last = snippet("compute_gae(rewards").split("\ncompute_gae(")
     scope = {}
-    exec("\n".join(lines), scope)
-    advantages = eval(last, scope).flatten().tolist()
+    exec(setup, scope)
+    advantages = eval(f"compute_gae({last}", scope).flatten().tolist()
     assert advantages == pytest.approx([4.0951, 3.439, 2.71, 1.9, 1])
 
 
 def test_every_snippet_compiles():
     for block in SNIPPETS:
         compile(re.sub(r"^!.*$", "", block, flags=re.MULTILINE), "README", "exec")
+
+
+def test_it_is_read_in_one_sitting():
+    text = re.sub(r"<details>.*?</details>|^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)
+    words = " ".join(line for line in text.splitlines() if not line.startswith("|")).split()
+    assert len(words) <= 1500
 
 
 def flags_of(parser):
