@@ -815,9 +815,11 @@ def exercises(args):
             for seed in SEEDS[script][:5]:
                 runs[name].append(
                     pool.submit(train_variant, home[name], *variant, task[0], seed, task[1]))
-        rows = [[name, EXERCISES[name][0], ", ".join(f"{run.result():.0f}" for run in jobs)]
-                for name, jobs in runs.items()]
-    print_table(["exercise", "script", "returns of five seeds"], rows)
+        data = pd.DataFrame({name: [run.result() for run in jobs] for name, jobs in runs.items()})
+    data.to_csv(args.out_dir / "exercises.csv", index=False)
+    print_table(["exercise", "script", "returns of five seeds"],
+                [[name, EXERCISES[name][0], ", ".join(f"{x:.0f}" for x in data[name])]
+                 for name in data])
     print_machine(json.dumps(installed()))
 
 

@@ -189,6 +189,15 @@ def test_the_table_of_robustness_is_that_of_the_csv_file():
             assert numbers(row.split("|")[cell]) == rounded([agents.mean(), agents.std()], 1)
 
 
+def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/exercises.csv")
+    assert list(data) == list(benchmark.EXERCISES)
+    answers = TEXT.split("<summary>Answers")[1]
+    for number, returns in enumerate(data.to_numpy().T, start=1):
+        (cell,) = re.findall(rf"^\| {number} \| ([^|]*) \|", answers, re.MULTILINE)
+        assert numbers(cell) == rounded(returns, 0)
+
+
 def test_the_table_at_the_top_counts_lines_right():
     for name, module in SCRIPTS.items():
         (row,) = re.findall(rf"^\| `{name}\.py` \|.*seeds.*\|$", TEXT, re.MULTILINE)
