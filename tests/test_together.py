@@ -140,7 +140,8 @@ class TestEnd:
         assert status != 0
         assert not self.left(cwd)
         saved = torch.load(checkpoint, weights_only=True)
-        assert saved["tables"]["evals"][-1]["env_step"] >= 2000
+        # Ctrl-C may come between the tables and the checkpoint of an evaluation: then 1536.
+        assert saved["tables"]["evals"][-1]["env_step"] >= 1500
         assert pd.read_csv(evals)["env_step"].is_monotonic_increasing
         mine, theirs = (torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
         assert not torch.equal(mine[0]["batch"]["samples"], theirs[0]["batch"]["samples"])
