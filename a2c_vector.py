@@ -23,9 +23,9 @@ In a state s (`obs` in the code) the actor, a network, gives each of K actions u
 the episode ends.
 The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
 the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set the learning rate, which falls evenly to 0.
+  1. Set each learning rate: it falls evenly to 0.
      Play a rollout: T steps in each of N environments with π.
-  2. Multiply r by a constant, so that V is moderate, too.
+  2. Multiply r by a constant, so that V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
      R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
@@ -124,10 +124,10 @@ def parse_args(argv=None):
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="λ: 0 trusts V, 1 the rewards")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="so no step goes far wrong")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -289,7 +289,7 @@ def optimise(agent, optimizer, batch, args):
         advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
-    # A = R − V is what V did not predict of R: 1 is perfect, 0 no better than a constant.
+    # A = R − V is what V did not predict of R. 1: nothing is left, 0: no better than a constant.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     policy = agent.policy(obs)
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)

@@ -24,9 +24,9 @@ The environment gets the action a = g(u), where g squeezes any number into the r
 have. It answers with a reward r and the next state, and so on until the episode ends.
 The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
 the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set the learning rate, which falls evenly to 0.
+  1. Set each learning rate: it falls evenly to 0.
      Play a rollout: T steps in each of N environments with π, called π_old from now on.
-  2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; then V is moderate, too.
+  2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
      R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
@@ -129,12 +129,12 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="so no step goes far wrong")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
     add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -337,7 +337,7 @@ def optimise(agent, optimizer, batch, args):
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
         old_log_probs = agent.policy(obs).log_prob(samples).sum(-1)  # no step yet: π is still π_old
-    # A = R − V is what V did not predict of R: 1 is perfect, 0 no better than a constant.
+    # A = R − V is what V did not predict of R. 1: nothing is left, 0: no better than a constant.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     logs = []
     for _ in range(args.epochs):

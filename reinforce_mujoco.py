@@ -14,8 +14,8 @@
 # ///
 """REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
-It learns to balance a pole on a cart in half a minute: 100,000 steps, return 1000 of 1000 possible,
-one for each step that the pole stands, of 1000 at most.
+It learns to balance a pole on a cart in half a minute: 100,000 steps, return 1000, which is one for
+each step that the pole stands. An episode has 1000 steps at most.
 `--help` lists all options; each training leaves a folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
@@ -115,7 +115,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after that at the start")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 

@@ -351,9 +351,10 @@ def collect(script, folders):
         versions = {name: config["versions"].get(name) for name in PACKAGES}
         for seed in config["seed"]:
             keys = {"env_id": config["env_id"], "flags": flags, "total_steps": total, "seed": seed}
-            first = found.setdefault(tuple(keys.values()), folder)
-            if first != folder:
-                faults.append(f"{folder}: seed {seed} is in {first}, too")
+            run = tuple(keys.values())
+            if run in found:
+                faults.append(f"{folder}: seed {seed} is in {found[run]}, too")
+            found[run] = folder
             files = {name: folder / f"seed-{seed}/{name}.csv" for name in curves}
             if not files["evals"].exists():
                 faults.append(f"{folder}: seed {seed} has saved nothing")
@@ -373,7 +374,7 @@ def collect(script, folders):
                 "minutes": last["seconds"] / 60, "versions": json.dumps(versions),
                 "steps_per_second": last["env_step"] / last["seconds"], "folder": str(folder)})
     if faults:
-        sys.exit("\n".join(["error: argument --runs:", *faults]))
+        sys.exit("\n".join(["error: these runs cannot count:", *faults]))
     data = pd.DataFrame(rows).sort_values("seed", kind="stable", ignore_index=True)
     return data, *(pd.concat(x, ignore_index=True) for x in curves.values())
 

@@ -175,12 +175,17 @@ class TestMerging:
         (seed,) = empty.glob("seed-*")
         shutil.rmtree(seed)
         text = merge([*ten_calls[1:2], cut, twice, empty], tmp_path, capsys, monkeypatch)
-        assert text.startswith("error: argument --runs")
+        assert text.startswith("error: these runs cannot count")
         (number,) = harness.read_json(cut / "args.json")["seed"]
         assert f"{cut}: seed {number} ended at 0 of 32" in text
         assert f"{empty}: {seed.name.replace('-', ' ')} has saved nothing" in text
         assert f"is in {ten_calls[1]}, too" in text
         assert not (tmp_path / "returns.csv").exists()
+
+    def test_a_folder_that_is_given_twice_counts_as_a_seed_that_comes_twice(
+            self, ten_calls, tmp_path, capsys, monkeypatch):
+        text = merge([ten_calls[0], ten_calls[0]], tmp_path, capsys, monkeypatch)
+        assert f"is in {ten_calls[0]}, too" in text
 
     def test_other_flags_and_lengths_get_a_row_of_their_own(
             self, ten_calls, tmp_path, capsys, monkeypatch):

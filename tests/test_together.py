@@ -140,9 +140,11 @@ class TestEnd:
         assert status != 0
         assert not self.left(cwd)
         saved = torch.load(checkpoint, weights_only=True)
-        # Ctrl-C may come between the tables and the checkpoint of an evaluation: then 1536.
-        assert saved["tables"]["evals"][-1]["env_step"] >= 1500
-        assert pd.read_csv(evals)["env_step"].is_monotonic_increasing
+        steps = pd.read_csv(evals)["env_step"]
+        assert steps.is_monotonic_increasing
+        assert steps.iloc[-1] >= 2000
+        # Ctrl-C may come between the tables and the checkpoint of one evaluation.
+        assert saved["tables"]["evals"][-1]["env_step"] in steps.tail(2).tolist()
         mine, theirs = (torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
         assert not torch.equal(mine[0]["batch"]["samples"], theirs[0]["batch"]["samples"])
         assert torch.equal(mine[0]["weights"]["actor.0.weight"],
