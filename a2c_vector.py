@@ -14,7 +14,7 @@
 """A2C: synchronous advantage actor-critic on vectorised environments, in one file.
 
 It learns to land on the moon in two minutes: 1,000,000 steps, return 247 to 269 in 9 seeds of 10.
-`--help` lists all options; each training leaves a folder in `runs`.
+`--help` lists all options; each run leaves a folder in `runs`.
 
     python a2c_vector.py --seed 1 2 3 4 5 6 7 8 9 10
 
@@ -28,10 +28,9 @@ the discounted sum of the rewards that follow s_t. Both see s normalised, by a r
   2. Multiply r by a constant, so that V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
+     R_t = A_t + V(s_t)        target of the critic: what A says that V(s_t) should have been
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
-  5. With A standardised (mean 0, std 1), so that neither its unit nor a constant error of V
-     matters, a step of Adam on
+  5. Standardise A in the rollout (mean 0, std 1): its unit must not matter. One step of Adam on
          −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
      The gradients of actor and critic are each shortened to max_grad_norm if they are longer.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
@@ -46,7 +45,7 @@ time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: eit
 Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
 δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
-or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
+or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (variance).
 
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
@@ -54,15 +53,16 @@ weights of π. Take one step alone: in state s, let G(u) be the expected return 
 (G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
 own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
 Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
-like early ones.) So push up the probability of each action by how much followed it.
+like early ones.) So push up the probability of each action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s).
+A estimates G − V(s). So −mean(A·log π), with A held constant, has this gradient times −1.
+The mean is over actions of π itself, so after one step of Adam the rollout is of no more use.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
-episode has to be played to its end; many environments at a time, before long each at another point
-of its episode, so that a short rollout is varied, and one call of the actor serves all.
+episode has to be played to its end; many environments at a time: they soon are at different
+points of their episodes, so even a short rollout is varied, and one call of the actor serves all.
 Left out: workers that do not wait for each other (A3C, [1]; A2C's are synchronous); shared layers;
 images; continuous actions.
 
@@ -138,7 +138,7 @@ def parse_args(argv=None):
 class RunningNorm(nn.Module):
     """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
-    Both are buffers: they are saved with the weights, and nothing but `update` changes them. At
+    They are buffers: they are saved with the weights, and nothing but `update` changes them. At
     first they are 0 and 1: the first rollout is played with states that are not normalised.
     """
 
@@ -269,7 +269,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Its gradient estimates −∇E[G]; its value need not fall."""
+    """−mean(A·log π); (B,) each. Its mean gradient is along −∇E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -314,7 +314,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.set_num_threads(1)  # networks this small do not gain by more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
@@ -347,14 +347,14 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode, and ends it after 10,000 steps at the latest."""
+    """Records return and length of each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
 class RandomPhysics(gym.Wrapper):
     """New gravity in each episode of LunarLander, new wind and turbulence in half of them ([4]).
 
-    None of them is in the observation: π has to land without knowing them, as a real lander would.
+    None of them is in the observation: π has to land without knowing them.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -375,7 +375,7 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
+    """`count` integers for one purpose (stream); another purpose or another seed has others.
 
     Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
@@ -493,7 +493,7 @@ def save(args, seed, folder, tables, agent, optimizer):
 def resume(path, agent, optimizer):
     """Bring back agent, optimizer and noise; returns the environment steps that they took.
 
-    Episodes that were going on are lost.
+    Episodes that were going on are lost. On a GPU the noise starts anew.
     """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
@@ -543,7 +543,7 @@ def plot(folder, env_id):
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is neither."""
+    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
 
     def parse(text):
         value = float(text)
@@ -564,7 +564,7 @@ def check(parser, argv):
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
-            args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
+            args = parser.parse_args(argv)  # again: the command line overrides the checkpoint
         env = gym.make(args.env_id)
         spaces = observations, actions = env.observation_space, env.action_space
         flat = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1

@@ -15,11 +15,11 @@
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
 It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 of about 9,350.
-`--help` lists all options; each training leaves a folder in `runs`.
+`--help` lists all options; each run leaves a folder in `runs`.
 
     python ppo_continuous.py --seed 1 2 3 4 5
 
-In a state s (`obs` in the code) the actor, a network, has a probability density π(u|s) and draws u.
+In a state s (`obs` in the code) the actor, a network, has a Gaussian density π(u|s) and draws u.
 The environment gets the action a = g(u), where g squeezes any number into the range that actions
 have. It answers with a reward r and the next state, and so on until the episode ends.
 The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
@@ -29,16 +29,15 @@ the discounted sum of the rewards that follow s_t. Both see s normalised, by a r
   2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)        target of the critic: rewards that came and V, as λ weighs them
+     R_t = A_t + V(s_t)        target of the critic: what A says that V(s_t) should have been
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
   5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
      If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
-     With A standardised (mean 0, std 1), so that neither its unit nor a constant error of V
-     matters, a step of Adam on
+     Standardise A in the minibatch (mean 0, std 1): its unit must not matter. A step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H.
-     Its gradient is shortened to max_grad_norm if it is longer.
+     Its gradient, that of all weights together, is shortened to max_grad_norm if it is longer.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
-Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if π is undecided, weight c_H;
+Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if σ is, weight c_H;
     μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
 Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
@@ -49,7 +48,7 @@ time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: eit
 Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
 δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
-or time limit cut them off) minus V(s_t). It has hardly any bias, but varies a lot (variance).
+or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (variance).
 
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
@@ -57,15 +56,15 @@ weights of π. Take one step alone: in state s, let G(u) be the expected return 
 (G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
 own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
 Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
-like early ones.) So push up the probability of each action by how much followed it.
+like early ones.) So push up the probability of each action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s).
-PPO takes many steps on the same rollout, which π_old played. So each u is weighted by ρ: the mean
-over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du. The
-farther π is from π_old, the more ρ varies, and the more noise this has; and the states are still
-those of π_old. So KL limit and clip keep π close.
+A estimates G − V(s). So −mean(A·log π), with A held constant, has this gradient times −1.
+PPO takes many steps of Adam on the same rollout, which π_old played. So each u is weighted by ρ:
+the mean over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du,
+as above with A for G. The farther π is from π_old, the more ρ varies, and the more noise this has;
+and the states are still those of π_old. So KL limit and clip have to keep π close to π_old.
 
 = A2C (a2c_vector.py) plus: continuous actions, a running reward scale (step 2), several epochs of
 minibatches, the KL limit, ρ and its clip (step 5). Left out: recurrent networks, images.
@@ -132,7 +131,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; of all else: 1")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; 1: that of μ")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -145,7 +144,7 @@ def parse_args(argv=None):
 class RunningNorm(nn.Module):
     """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
-    Both are buffers: they are saved with the weights, and nothing but `update` changes them. At
+    They are buffers: they are saved with the weights, and nothing but `update` changes them. At
     first they are 0 and 1: the first rollout is played with states that are not normalised.
     """
 
@@ -189,8 +188,8 @@ class Agent(nn.Module):
     """The actor π(u|s) = Normal(μ(s), σ), the critic V(s), what normalises states and rewards.
 
     σ (K,) is the same in every state. Its parameter is log σ / std_speed. Adam moves a parameter by
-    about the learning rate, so log σ by std_speed times that: below 1, σ shrinks later, and better
-    actions far from μ are still found.
+    about the learning rate, so log σ by std_speed times that: below 1, σ shrinks more slowly,
+    and better actions far from μ are still found.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -218,7 +217,7 @@ class Agent(nn.Module):
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy: samples u of π, or the mean μ, and actions a = g(u); (N, K).
 
-        g is tanh, stretched to (low, high). In the density of a, its factor 1/|g'(u)| cancels in ρ.
+        g is tanh, stretched to (low, high). In ρ the factor 1/|g'(u)| of the density of a cancels.
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
@@ -266,12 +265,12 @@ def rollout(envs, agent, obs, num_steps, env_step):
 
 
 def scale_rewards(rewards, done, past_return, reward_norm, gamma):
-    """Step 2: rewards (T, N) over the running standard deviation of F_t = r_t + γ·F_{t−1}.
+    """Step 2: rewards (T, N) over the running standard deviation of F.
 
-    V predicts a discounted sum of coming rewards. F is one of past rewards, which varies about as
-    much and is known at once. The mean of r is not subtracted: a reward of 1 for each step would
-    become 0. `past_return` (N,) is F at the end of the last rollout, 0 where an episode ended.
-    Returned with the rewards is that of this one.
+    V predicts a discounted sum of rewards to come. F is such a sum of past rewards: it varies about
+    as much and is known at once. The mean of r is not subtracted, else a reward of 1 for each step
+    would become 0. `past_return` (N,) is F at the end of the last rollout, 0 where an episode
+    ended. Returns the scaled rewards, and F at the end of this rollout.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -371,7 +370,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.set_num_threads(1)  # networks this small do not gain by more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
@@ -404,7 +403,7 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode, and ends it after 10,000 steps at the latest."""
+    """Records return and length of each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
@@ -416,7 +415,7 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
+    """`count` integers for one purpose (stream); another purpose or another seed has others.
 
     Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
@@ -534,7 +533,7 @@ def save(args, seed, folder, tables, agent, optimizer):
 def resume(path, agent, optimizer):
     """Bring back agent, optimizer and noise; returns the environment steps that they took.
 
-    Episodes that were going on are lost.
+    Episodes that were going on are lost. On a GPU the noise starts anew.
     """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
@@ -584,7 +583,7 @@ def plot(folder, env_id):
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is neither."""
+    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
 
     def parse(text):
         value = float(text)
@@ -605,7 +604,7 @@ def check(parser, argv):
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
-            args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
+            args = parser.parse_args(argv)  # again: the command line overrides the checkpoint
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
         boxes = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)

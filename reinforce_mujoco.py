@@ -16,7 +16,7 @@
 
 It learns to balance a pole on a cart in half a minute: 100,000 steps, return 1000, which is one for
 each step that the pole stands. An episode has 1000 steps at most.
-`--help` lists all options; each training leaves a folder in `runs`.
+`--help` lists all options; each run leaves a folder in `runs`.
 
     python reinforce_mujoco.py --seed 1 2 3 5 8
 
@@ -50,15 +50,16 @@ weights of π. Take one step alone: in state s, let G(u) be the expected return 
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
 (G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
 own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
-Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
-like early ones: [1]; [2] section 13.3.) So push up the probability of each action by how much
-reward followed it.
+Strictly, that of step t has a factor γ^t ([2] section 13.3). It is left out here, as usual, so that
+late steps count like early ones.) So push up the probability of each action in proportion to the G
+that followed it ([1]): −mean(G·log π) has this gradient times −1.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. A baseline takes away what was to be
 expected anyway, and with it most of this noise. On average it changes nothing: if b does not depend
 on u, E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
-Small biases remain: γ^t is left out; with `mean`, G_t is a part of its own baseline; a mean divides
-by the number of steps, which depends on the actions, too; and G_T is a guess where time ran out.
+Small biases remain: γ^t is left out; with `mean`, G_t is a part of its own baseline; the mean
+divides by the number of steps, which depends on the actions, too; and where time ran out, G_T is a
+guess.
 
 Left out: V(s) in place of rewards still to come also where time did not run out, so that no episode
 has to be played to its end, and several environments at a time (a2c_vector.py adds both); several
@@ -111,7 +112,7 @@ def parse_args(argv=None):
         help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes of an update")
-    add("--baseline", choices=("none", "mean", "value"), default="value", help="b, taken from G")
+    add("--baseline", choices=("none", "mean", "value"), default="value", help="b, in A = G − b")
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
@@ -133,7 +134,7 @@ class Agent(nn.Module):
         self.mean = nn.Linear(32, outputs)
         self.raw_std = nn.Linear(32, outputs)
         for head in (self.mean, self.raw_std):
-            nn.init.normal_(head.weight, std=0.01)  # μ and σ start nearly alike in all states
+            nn.init.normal_(head.weight, std=0.01)  # at first μ and σ hardly depend on s
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
         self.critic = None
@@ -144,7 +145,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ², about 1/σ, from growing.
+        # The floor under σ keeps π exploring. It also bounds ∇_μ log π = (u − μ)/σ², about 1/σ.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
@@ -223,7 +224,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Its gradient estimates −∇E[G]; its value need not fall."""
+    """−mean(A·log π); (B,) each. Its mean gradient is along −∇E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -257,7 +258,7 @@ def optimise(agent, optimizer, batch, baseline):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # in networks this small a second thread waits more than it works
+    torch.set_num_threads(1)  # networks this small do not gain by more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     env = record_episodes(gym.make(args.env_id))
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed
@@ -282,12 +283,12 @@ def train(args, seed):
 
 
 def record_episodes(env):
-    """Sums up each episode, and ends it after 10,000 steps at the latest."""
+    """Records return and length of each episode, and ends it after 10,000 steps at the latest."""
     return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose of a run; no run or purpose (stream) has those of another.
+    """`count` integers for one purpose (stream); another purpose or another seed has others.
 
     Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
     """
@@ -440,7 +441,7 @@ def plot(folder, env_id):
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is neither."""
+    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
 
     def parse(text):
         value = float(text)
@@ -461,7 +462,7 @@ def check(parser, argv):
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
             parser.set_defaults(**checkpoint["args"])
-            args = parser.parse_args(argv)  # again: the command line goes before the checkpoint
+            args = parser.parse_args(argv)  # again: the command line overrides the checkpoint
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
         if not all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces):
