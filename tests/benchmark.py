@@ -214,23 +214,20 @@ def scaling(args):
                 rows += [{"measure": name, "vectorization": kind, "environments": count, "speed": x}
                          for name, x in zip(("stepping", "training"), speeds)]
     keys = ["measure", "vectorization", "environments"]
-    data = pd.DataFrame(rows).groupby(keys, sort=False)["speed"].median().reset_index()
+    data = pd.DataFrame(rows).groupby(keys)["speed"].median().reset_index()
     base = data[data["vectorization"].eq("sync") & data["environments"].eq(args.num_envs[0])]
-    data["psi"] = data["speed"] / data["measure"].map(base.set_index("measure")["speed"])
-    data["p"] = data["environments"].clip(upper=os.cpu_count()).where(
-        data["vectorization"].eq("async"), 1)
-    parallel = data[data["p"] > 1]
-    data["e"] = (1 / parallel["psi"] - 1 / parallel["p"]) / (1 - 1 / parallel["p"])
-    data["limit"] = 1 / data["e"].where(data["e"] > 0)
+    data["speed_up"] = data["speed"] / data["measure"].map(base.set_index("measure")["speed"])
+    # The serial share e of Karp and Flatt (1990): p cores would be 1/(e + (1 − e)/p) times as fast.
+    p = data["environments"].clip(upper=os.cpu_count()).where(data["vectorization"].eq("async"))
+    data["serial_share"] = ((1 / data["speed_up"] - 1 / p) / (1 - 1 / p)).where(p > 1)
     data.to_csv(args.out_dir / "scaling.csv", index=False)
-    shown = data.assign(speed=data["speed"].round().astype(int))
-    shown = shown.round(2).astype(object).where(data.notna(), "–")
-    print_table([*keys, "steps/s", "speed-up ψ", "p", "Karp–Flatt e", "limit 1/e"],
+    shown = data.round({"speed": 0, "speed_up": 2, "serial_share": 2}).astype({"speed": int})
+    shown = shown.astype(object).where(data.notna(), "–")
+    print_table([*keys, "steps per second", f"over sync at {args.num_envs[0]}", "serial share"],
                 shown.to_numpy().tolist())
     print(f"""
-ψ: against sync at {args.num_envs[0]}. p: what runs in parallel. With sync p = 1, so e is undefined:
-its speed-up comes from sharing the calls of the network and of the vector, not from parallel
-processors. Async shares them, too; where that makes ψ larger than p, e < 0 and sets no limit.
+Serial share: the part of the work that {os.cpu_count()} cores do not share, if nothing else slows
+them (Karp and Flatt 1990). Below 0: many environments also save calls. Above 1: slower than one.
 """)
     print(conclude(data))
     draw_scaling(data, args.out_dir / "scaling.png")
@@ -239,45 +236,28 @@ processors. Async shares them, too; where that makes ψ larger than p, e < 0 and
 
 def conclude(data):
     """Two sentences from the numbers: what is fastest, and what bounds it."""
-    rows = data.set_index(["measure", "vectorization", "environments"])
-    training, stepping = rows.loc["training"], rows.loc["stepping"]
-    first, best = data["environments"].iloc[0], training["speed"].idxmax()
-    top, other = training.loc[best], training["speed"].drop(best[0], level=0)
-    share = top["speed"] / stepping["speed"][best]
-    text = (
-        f"Training is fastest with {best[0]} at {best[1]} environments: {top['speed']:.0f} steps "
-        f"per second, {top['psi']:.1f} times sync at {first};\n{other.idxmax()[0]} reaches "
-        f"{other.max():.0f} at most, at {other.idxmax()[1]}.\nThere stepping alone takes "
-        f"{share:.0%} of the time: learning at no cost would make it {1 / share:.1f} times as fast")
-    parallel = stepping[stepping["p"] > 1]
-    if parallel.empty:
-        return f"{text}."
-    kind, count = parallel["psi"].idxmax()
-    top, sync = parallel.loc[kind, count], stepping["psi"]["sync", count]
-    bound = "their serial part sets no limit here"
-    if top["e"] > 0:
-        bound = f"any number of cores could make that {top['limit']:.1f} at most"
-    if top["psi"] <= sync:
-        bound = "sending the\nresults costs more than the processes save"
-    return (f"{text};\n{count} processes on {os.cpu_count()} cores step {top['psi']:.2f} times as "
-            f"fast as sync at {first} (sync at {count}: {sync:.2f}), e = {top['e']:.2f}: {bound}.")
+    speed = data.set_index(["measure", "vectorization", "environments"])["speed"]
+    training, stepping = speed["training"], speed["stepping"]
+    kind, count = training.idxmax()
+    other = training.drop(kind, level=0)
+    share = training.max() / stepping[kind, count]
+    return (f"Training is fastest with {kind} at {count} environments: {training.max():.0f} steps "
+            f"per second; {other.idxmax()[0]} reaches {other.max():.0f} at most, at "
+            f"{other.idxmax()[1]}.\nStepping takes {share:.0%} of that time: learning at no cost "
+            f"would make it {1 / share:.1f} times as fast.")
 
 
 def draw_scaling(data, path):
-    figure = Figure(figsize=(14, 4), layout="constrained")
-    first = data["environments"].iloc[0]
-    titles = {"speed": "environment steps per second", "psi": f"speed-up ψ over sync at {first}",
-              "e": "serial fraction e (async only: sync has p = 1)"}
-    for axis, (y, title) in zip(figure.subplots(1, 3), titles.items()):
-        sns.lineplot(data, x="environments", y=y, hue="vectorization", style="measure", ax=axis,
-                     markers=True, legend=y == "e")
+    """Steps per second against the number of environments: stepping alone, and training."""
+    grid = sns.relplot(data, x="environments", y="speed", hue="vectorization", kind="line",
+                       style="vectorization", markers=True, col="measure", height=3.2, aspect=1.3)
+    grid.set_titles("{col_name}").set_axis_labels("environments", "environment steps per second")
+    ticks = sorted(data["environments"].unique())
+    for axis in grid.axes.flat:
         axis.set_xscale("log", base=2)
-        ticks = sorted(data["environments"].unique())
         axis.set_xticks(ticks, ticks)
-        axis.set(ylabel=title, xlabel="environments", xlim=(ticks[0] / 1.2, ticks[-1] * 1.2))
-    sns.move_legend(axis, "upper left", bbox_to_anchor=(1, 1))
-    axis.axhline(0, color="grey", linewidth=0.5)
-    figure.savefig(path, dpi=100)
+        axis.set_ylim(0)
+    grid.savefig(path, dpi=100)
 
 
 # --- Several processes ----------------------------------------------------------------------------
@@ -406,16 +386,22 @@ def in_bins(curves, y, count=60):
     return curves.groupby(keys, sort=False)[y].mean().reset_index()
 
 
-def plot(evals, path):
-    """A panel per environment: mean, lowest and highest over seeds."""
+def plot(evals, path, published):
+    """A panel per environment: mean, lowest and highest over seeds, and what was published."""
     hue = "flags" if evals["flags"].nunique() > 1 else None
     grid = sns.relplot(in_bins(evals, "return_mean"), x="env_step", y="return_mean", hue=hue,
-                       col="env_id", col_wrap=min(4, evals["env_id"].nunique()), height=2.6,
-                       kind="line", errorbar=("pi", 100), aspect=1.3,
+                       col="env_id", col_wrap=min(5, evals["env_id"].nunique()), height=2.6,
+                       kind="line", errorbar=("pi", 100), aspect=0.9,
                        facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_axis_labels("environment steps", "evaluation return (raw)")
-    for axis in grid.axes.flat:
+    for env_id, axis in grid.axes_dict.items():
         axis.locator_params(axis="x", nbins=4)  # else the labels of small panels overlap
+        axis.xaxis.set_major_formatter(lambda x, _: f"{x / 1000:g}k")
+        if env_id in published:
+            axis.axhline(published[env_id], color="grey", linestyle="--", linewidth=1)
+    seeds = evals["seed"].nunique()
+    levels = "; dashed: the highest published mean" if published else ""
+    grid.figure.suptitle(f"mean, lowest and highest of {seeds} seeds{levels}", y=1.02)
     grid.savefig(path, dpi=100)
 
 
@@ -485,7 +471,7 @@ def returns(args):
     if args.script == PPO:
         compare_with_published(data)
     if args.plot:
-        plot(evals, args.out_dir / f"{args.study}.png")
+        plot(evals, args.out_dir / f"{args.study}.png", PUBLISHED if args.script == PPO else {})
     print_versions(data)
 
 
@@ -764,7 +750,7 @@ def ablation(args):
 
 
 def draw_ablation(table, args):
-    """A dot and a 95% interval for each variant; red: the whole interval is on one side of 0."""
+    """A dot and a 95% interval for each variant; the dot is filled if the interval is without 0."""
     table = table[table["variant"] != "defaults"]
     names = list(dict.fromkeys(table["variant"]))
     figure = Figure(figsize=(11, 0.3 * len(names) + 1.4), layout="constrained")
@@ -772,13 +758,13 @@ def draw_ablation(table, args):
     for axis, (env_id, x) in zip(panels, table.groupby("environment", sort=False)):
         places = [-names.index(name) for name in x["variant"]]
         for place, gap, margin in zip(places, x["difference"], x["margin"]):
-            colour = "C3" if abs(gap) > margin else "C0"
-            axis.errorbar(gap, place, xerr=margin, fmt="o", capsize=3, color=colour)
+            axis.errorbar(gap, place, xerr=margin, fmt="o", capsize=3, color="C0",
+                          markerfacecolor="C0" if abs(gap) > margin else "white")
         axis.axvline(0, color="grey", linewidth=0.8)
         axis.set(title=env_id, xlabel="return minus that of the defaults",
                  yticks=[-i for i in range(len(names))], yticklabels=names)
     figure.suptitle(f"PPO with one detail changed: {len(args.seed)} seeds, "
-                    f"{args.total_steps:,} steps, 95% intervals (red: without 0)")
+                    f"{args.total_steps:,} steps, 95% intervals (filled: without 0)")
     figure.savefig(args.out_dir / "ablation.png", dpi=100)
 
 
@@ -1071,7 +1057,7 @@ def make_parser():
     add("--pairs", type=int, default=5, help="measurements of each, in turns")
 
     add = add_study("scaling", scaling, "A2C: speed against the number of environments")
-    add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="first: ψ = 1")
+    add("--num-envs", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32], help="the first: its base")
     add("--steps", type=int, default=20_480, help="at least, in every measurement")
     add("--repeats", type=int, default=3, help="measurements of each, in turns; the median counts")
 
@@ -1089,6 +1075,7 @@ def parse_args(argv=None):
 def main():
     args = parse_args()
     args.out_dir.mkdir(parents=True, exist_ok=True)
+    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.8)
     args.function(args)
 
 
