@@ -23,16 +23,16 @@ In a state s (`obs` in the code) the actor, a network, gives each of K actions u
 the episode ends.
 The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
 the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set each learning rate: it falls evenly to 0.
+  1. Set both learning rates: they fall evenly to 0.
      Play a rollout: T steps in each of N environments with π.
   2. Multiply r by a constant, so that V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
      R_t = A_t + V(s_t)        target of the critic: what A says that V(s_t) should have been
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
-  5. Standardise A in the rollout (mean 0, std 1): its unit must not matter. One step of Adam on
+  5. Standardise A in the rollout: mean 0, std 1, whatever its unit. Take one step of Adam on
          −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
-     The gradients of actor and critic are each shortened to max_grad_norm if they are longer.
+     First its gradients, of actor and of critic, are shortened to max_grad_norm if longer.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
 Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
     settling on one action too early.
@@ -42,29 +42,28 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
 time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
+Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … A larger λ trusts V less. With λ = 0 it is
 δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
 or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (variance).
 
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
-weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
+weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
-own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
-Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
-like early ones.) So push up the probability of each action in proportion to what followed it.
+(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
+one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
+factor γ^t. It is left out here, as usual, so that late steps count like early ones.) So push up the
+probability of each action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). So −mean(A·log π), with A held constant, has this gradient times −1.
-The mean is over actions of π itself, so after one step of Adam the rollout is of no more use.
+A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1.
+E is over actions of π as it is. A step of Adam changes π, so the next one needs a new rollout.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
-episode has to be played to its end; many environments at a time: they soon are at different
-points of their episodes, so even a short rollout is varied, and one call of the actor serves all.
-Left out: workers that do not wait for each other (A3C, [1]; A2C's are synchronous); shared layers;
-images; continuous actions.
+episode has to be played to its end; many environments, which soon are at different points of their
+episodes, so that a short rollout is varied; one call of the actor serves all. Left out: workers
+that do not wait for each other (A3C, [1]); shared layers; images; continuous actions.
 
 References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
     2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
@@ -220,9 +219,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
     Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
-    An environment whose episode ends starts the next one within the same step. Two observations
-    then follow obs[i]: new_obs[i], the first one of the next episode, from which π plays on, and
-    next_obs[i], the last one of this episode, found in infos, for V.
+    An environment whose episode ends starts the next one within the same step. Then new_obs[i] is
+    the first observation of the next episode, from which π plays on; next_obs[i], for V, is the
+    last one of this episode, found in infos.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -236,7 +235,7 @@ def rollout(envs, agent, obs, num_steps, env_step):
             ended = infos["final_info"]["episode"]
             episodes.append({"env_step": env_step, "return": float(ended["r"][i]),
                              "length": int(ended["l"][i])})
-        check_finite(env_step // len(obs), rewards, next_obs, new_obs)
+        check_finite(0, env_step // len(obs), rewards, next_obs, new_obs)
         steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
         obs = new_obs
@@ -269,7 +268,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Its mean gradient is along −∇E[G]; its value need not fall."""
+    """−mean(A·log π); (B,) each. Its gradient estimates that of −E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -332,7 +331,7 @@ def train(args, seed):
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"] *= args.reward_scale  # step 2
         diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
-        # Only now: until here π has to see s as it did when it played.
+        # Only now: until here s has to be normalised as it was in the rollout.
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
         env_step += batch["rewards"].numel()
         yield env_step, agent, optimizer, episodes, diagnostics
@@ -382,11 +381,14 @@ def make_seeds(seed, stream, count):
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
-def check_finite(step, *arrays):
-    """Ends the run in one line if an environment returned NaN or infinity; arrays (N, …)."""
+def check_finite(first, step, *arrays):
+    """Ends the run in one line if an environment returned NaN or infinity.
+
+    Row i of the arrays (N, …) comes from environment `first` + i.
+    """
     for values in arrays:
         if not np.isfinite(values).all():
-            culprit = np.argwhere(~np.isfinite(values))[0, 0]
+            culprit = first + np.argwhere(~np.isfinite(values))[0, 0]
             sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
@@ -401,7 +403,7 @@ def evaluate(agent, envs, seed):
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
-            check_finite(env.episode_lengths, np.array([reward]), obs[env][None])
+            check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
     returns = np.array([env.return_queue[-1] for env in envs], dtype=float)

@@ -24,7 +24,7 @@ The environment gets the action a = g(u), where g squeezes any number into the r
 have. It answers with a reward r and the next state, and so on until the episode ends.
 The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
 the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set each learning rate: it falls evenly to 0.
+  1. Set the learning rate: it falls evenly to 0.
      Play a rollout: T steps in each of N environments with π, called π_old from now on.
   2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
@@ -33,9 +33,9 @@ the discounted sum of the rewards that follow s_t. Both see s normalised, by a r
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
   5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
      If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
-     Standardise A in the minibatch (mean 0, std 1): its unit must not matter. A step of Adam on
+     Standardise A in the minibatch: mean 0, std 1, whatever its unit. Take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H.
-     Its gradient, that of all weights together, is shortened to max_grad_norm if it is longer.
+     First its gradient, of all weights together, is shortened to max_grad_norm if it is longer.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
 Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if σ is, weight c_H;
     μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
@@ -45,22 +45,22 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 
 terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
 time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … λ sets how far it trusts V. With λ = 0 it is
+Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … A larger λ trusts V less. With λ = 0 it is
 δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
 the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
 or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (variance).
 
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
-weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
+weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
-own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
-Strictly, that of step t has a factor γ^t. It is left out here, as usual, so that late steps count
-like early ones.) So push up the probability of each action in proportion to what followed it.
+(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
+one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
+factor γ^t. It is left out here, as usual, so that late steps count like early ones.) So push up the
+probability of each action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). So −mean(A·log π), with A held constant, has this gradient times −1.
+A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1.
 PPO takes many steps of Adam on the same rollout, which π_old played. So each u is weighted by ρ:
 the mean over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du,
 as above with A for G. The farther π is from π_old, the more ρ varies, and the more noise this has;
@@ -131,7 +131,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; 1: that of μ")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; 1: as weights")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -217,7 +217,7 @@ class Agent(nn.Module):
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy: samples u of π, or the mean μ, and actions a = g(u); (N, K).
 
-        g is tanh, stretched to (low, high). In ρ the factor 1/|g'(u)| of the density of a cancels.
+        g is tanh, stretched to (low, high). For a, ρ is the same: the factors 1/|g'(u)| cancel.
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
@@ -235,9 +235,9 @@ def rollout(envs, agent, obs, num_steps, env_step):
     Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
     for each episode that ended. `env_step`: the steps of all environments before this rollout.
 
-    An environment whose episode ends starts the next one within the same step. Two observations
-    then follow obs[i]: new_obs[i], the first one of the next episode, from which π plays on, and
-    next_obs[i], the last one of this episode, found in infos, for V.
+    An environment whose episode ends starts the next one within the same step. Then new_obs[i] is
+    the first observation of the next episode, from which π plays on; next_obs[i], for V, is the
+    last one of this episode, found in infos.
     """
     steps, episodes = [], []
     for _ in range(num_steps):
@@ -251,7 +251,7 @@ def rollout(envs, agent, obs, num_steps, env_step):
             ended = infos["final_info"]["episode"]
             episodes.append({"env_step": env_step, "return": float(ended["r"][i]),
                              "length": int(ended["l"][i])})
-        check_finite(env_step // len(obs), rewards, next_obs, new_obs)
+        check_finite(0, env_step // len(obs), rewards, next_obs, new_obs)
         steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
         obs = new_obs
@@ -388,7 +388,7 @@ def train(args, seed):
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2
         logs = optimise(agent, optimizer, batch, args)  # steps 3 to 5
-        # Only now: until here π has to see s as it did when it played.
+        # Only now: until here s has to be normalised as it was in the rollout.
         agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
         env_step += batch["rewards"].numel()
         yield env_step, agent, optimizer, episodes, pd.DataFrame(logs).mean().to_dict()
@@ -422,11 +422,14 @@ def make_seeds(seed, stream, count):
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
-def check_finite(step, *arrays):
-    """Ends the run in one line if an environment returned NaN or infinity; arrays (N, …)."""
+def check_finite(first, step, *arrays):
+    """Ends the run in one line if an environment returned NaN or infinity.
+
+    Row i of the arrays (N, …) comes from environment `first` + i.
+    """
     for values in arrays:
         if not np.isfinite(values).all():
-            culprit = np.argwhere(~np.isfinite(values))[0, 0]
+            culprit = first + np.argwhere(~np.isfinite(values))[0, 0]
             sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
@@ -441,7 +444,7 @@ def evaluate(agent, envs, seed):
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
-            check_finite(env.episode_lengths, np.array([reward]), obs[env][None])
+            check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
     returns = np.array([env.return_queue[-1] for env in envs], dtype=float)

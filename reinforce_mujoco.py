@@ -46,24 +46,24 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
     those of training, without evaluations.
 
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
-weights of π. Take one step alone: in state s, let G(u) be the expected return after action u. Then
+weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G(u) depends on these weights, too, through the actions that follow u. But those are steps of their
-own, with a term like this each, and the gradient for a whole episode is the sum of these terms.
-Strictly, that of step t has a factor γ^t ([2] section 13.3). It is left out here, as usual, so that
-late steps count like early ones.) So push up the probability of each action in proportion to the G
-that followed it ([1]): −mean(G·log π) has this gradient times −1.
+(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
+one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
+factor γ^t ([2] section 13.3). It is left out here, as usual, so that late steps count like early
+ones.) So push up the probability of each action in proportion to the G that followed it ([1]): with
+G held constant, −mean(G·log π) has this gradient, times −1.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
-others, and the estimate varies a lot from batch to batch. A baseline takes away what was to be
-expected anyway, and with it most of this noise. On average it changes nothing: if b does not depend
-on u, E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
-Small biases remain: γ^t is left out; with `mean`, G_t is a part of its own baseline; the mean
-divides by the number of steps, which depends on the actions, too; and where time ran out, G_T is a
-guess.
+others, and the estimate varies a lot from batch to batch. With a typical G subtracted, actions that
+were worse than usual are pushed down, and there is less noise. On average this changes nothing: if
+b does not depend on u, E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
+Some bias remains: γ^t is left out; with `mean`, G_t is a part of the mean and std that it is
+compared with; the loss divides by the number of steps, which depends on the actions, too; and where
+time ran out, G_T is a guess.
 
-Left out: V(s) in place of rewards still to come also where time did not run out, so that no episode
-has to be played to its end, and several environments at a time (a2c_vector.py adds both); several
-gradient steps on the same batch (ppo_continuous.py adds them).
+Left out: V(s) in place of later rewards also in the middle of an episode, so that none has to be
+played to its end, and several environments at a time (a2c_vector.py adds both); several gradient
+steps on the same batch (ppo_continuous.py adds them).
 
 References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
     Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
@@ -145,7 +145,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps π exploring. It also bounds ∇_μ log π = (u − μ)/σ², about 1/σ.
+        # The floor under σ keeps π exploring; ∇_μ log π = (u − μ)/σ² has a std of 1/σ, at most 10.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
@@ -188,7 +188,7 @@ def rollout(env, agent, num_episodes, gamma, env_step):
             batch["samples"].append(samples[0])
             obs, reward, terminated, truncated, _ = env.step(actions[0])
             env_step += 1
-            check_finite(env_step, np.array([reward]), obs[None])
+            check_finite(0, env_step, np.array([reward]), obs[None])
             rewards.append(float(reward))
             ended = terminated or truncated
         last_obs = torch.as_tensor(obs, dtype=torch.float32, device=agent.low.device)
@@ -224,7 +224,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Its mean gradient is along −∇E[G]; its value need not fall."""
+    """−mean(A·log π); (B,) each. Its gradient estimates that of −E[G]; its value need not fall."""
     return -(advantages * log_probs).mean()
 
 
@@ -295,11 +295,14 @@ def make_seeds(seed, stream, count):
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
-def check_finite(step, *arrays):
-    """Ends the run in one line if an environment returned NaN or infinity; arrays (N, …)."""
+def check_finite(first, step, *arrays):
+    """Ends the run in one line if an environment returned NaN or infinity.
+
+    Row i of the arrays (N, …) comes from environment `first` + i.
+    """
     for values in arrays:
         if not np.isfinite(values).all():
-            culprit = np.argwhere(~np.isfinite(values))[0, 0]
+            culprit = first + np.argwhere(~np.isfinite(values))[0, 0]
             sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
 
 
@@ -314,7 +317,7 @@ def evaluate(agent, envs, seed):
         _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
-            check_finite(env.episode_lengths, np.array([reward]), obs[env][None])
+            check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
     returns = np.array([env.return_queue[-1] for env in envs], dtype=float)

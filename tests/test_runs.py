@@ -806,14 +806,25 @@ def test_nan_and_infinity_are_named_in_one_line(script, world, call):
 
 def test_nan_and_infinity_are_noticed_wherever_they_are(script):
     fine = np.zeros((3, 2))
-    script.module.check_finite(7, fine, np.zeros(3))
+    script.module.check_finite(4, 7, fine, np.zeros(3))
     for wrong in np.nan, np.inf, -np.inf:
         for row in range(3):
             spoilt = fine.copy()
             spoilt[row, 1] = wrong
             for arrays in (spoilt, fine), (fine[:, 0], spoilt), (spoilt[:, 1], fine):
-                with pytest.raises(SystemExit, match=f"environment {row} .* step 7"):
-                    script.module.check_finite(7, *arrays)
+                with pytest.raises(SystemExit, match=f"environment {4 + row} .* step 7"):
+                    script.module.check_finite(4, 7, *arrays)
+
+
+@pytest.mark.filterwarnings("ignore:.*The reward is a NaN value")
+def test_an_evaluation_names_the_environment_that_returned_nan(script):
+    module = script.module
+    worlds = "ThreeSteps", "ThreeSteps", "AlwaysNaN", "ThreeSteps"
+    envs = [module.record_episodes(gym.make(script.world(world))) for world in worlds]
+    args = module.parse_args(["--env-id", script.env_id])
+    agent = module.Agent(envs[0].observation_space, envs[0].action_space, args)
+    with pytest.raises(SystemExit, match="environment 2 returned NaN or infinity at its step 1"):
+        module.evaluate(agent, envs, seed=1)
 
 
 # --- Figure ---------------------------------------------------------------------------------------
