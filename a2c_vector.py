@@ -84,11 +84,11 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 import gymnasium as gym
+import matplotlib
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
-from matplotlib.figure import Figure
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
@@ -508,37 +508,30 @@ def resume(path, agent, optimizer):
 
 
 def plot(folder, env_id):
-    """learning_curve.png: returns on top, below them the columns of metrics.csv.
+    """learning_curve.png: a panel for each quantity in the tables, over environment steps.
 
     A line is the mean over the seeds, its band reaches from the lowest to the highest. Before that,
     each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
     early, its last value goes on.
     """
     names = ("evals.csv", "episodes.csv", "metrics.csv")
-    files = [file for file in folder.glob("**/*.csv") if file.name in names]
+    files = [file for file in sorted(folder.glob("**/*.csv")) if file.name in names]
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
     total = data["env_step"].max()
     data["env_step"] = np.ceil(100 * data["env_step"] / total) / 100 * total
-    data = data.groupby(["env_step", "seed"]).mean().unstack()
-    data = data.interpolate("index").stack(future_stack=True).reset_index()
-    data.columns = data.columns.str.replace("_", " ")
-    diagnostics = pd.read_csv(next(folder.glob("**/metrics.csv"))).columns[1:].str.replace("_", " ")
-    curve = {"data": data, "x": "env step", "errorbar": ("pi", 100)}
-    sns.set_theme(style="whitegrid", palette="colorblind", font_scale=0.7)
-    figure = Figure(figsize=(12, 12), layout="constrained")
-    for panel, column in enumerate(diagnostics, start=13):
-        sns.lineplot(**curve, y=column, ax=figure.add_subplot(6, 4, panel))
-    top = figure.add_subplot(6, 4, (1, 12))
-    sns.lineplot(**curve, y="return mean", ax=top, label="evaluation, deterministic actions")
-    if "return" in data:  # an episode has ended
-        sns.lineplot(**curve, y="return", ax=top, label="training, sampled actions")
-    threshold = gym.make(env_id).spec.reward_threshold
-    if threshold is not None:
-        top.axhline(threshold, color="grey", linestyle="--", label="counts as solved")
-        top.legend()
+    data = data.groupby(["env_step", "seed"]).mean().unstack().interpolate("index")
+    data = data.drop(columns=["seconds", "return_std", "episodes"]).stack(future_stack=True)
+    data = data.reset_index().melt(["env_step", "seed"])
+    evaluated = data["variable"].str.endswith("_mean")
+    data["actions"] = np.where(evaluated, "deterministic: evaluation", "sampled: training")
+    data["variable"] = data["variable"].str.removesuffix("_mean").str.replace("_", " ")
+    grid = sns.relplot(data, x="env_step", y="value", col="variable", hue="actions", col_wrap=4,
+                       kind="line", errorbar=("pi", 100), palette="colorblind", height=2.5,
+                       facet_kws={"sharey": False})
+    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
     title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: lowest to highest)"
-    top.set(xlabel="environment steps", ylabel="return", title=title)
-    figure.savefig(folder / "learning_curve.png", bbox_inches="tight")
+    grid.figure.suptitle(title, y=1.02)
+    grid.savefig(folder / "learning_curve.png")
 
 
 # --- Command line ---------------------------------------------------------------------------------
@@ -603,6 +596,7 @@ def train_seeds(args, folders):
 
 
 def main():
+    matplotlib.use("agg")  # draws into files, needs no display
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
     if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
         sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed

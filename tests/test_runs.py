@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import gymnasium as gym
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -121,7 +122,8 @@ def figures(monkeypatch):
     """The figures that this process would have saved, which takes a second each."""
     figures = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
-    return figures
+    yield figures
+    plt.close("all")
 
 
 @pytest.fixture
@@ -832,7 +834,7 @@ def test_an_evaluation_names_the_environment_that_returned_nan(script):
 
 @pytest.fixture
 def draw(figures):
-    """Draws a figure without a warning; gives its panels, the large one last."""
+    """Draws a figure without a warning; gives its panels by their titles."""
 
     def draw(script, folder, env_id="harness:ThreeSteps-v0"):
         with warnings.catch_warnings():
@@ -840,41 +842,49 @@ def draw(figures):
             for category in DeprecationWarning, PendingDeprecationWarning, FutureWarning:
                 warnings.simplefilter("ignore", category)
             script.module.plot(folder, env_id)
-        return figures.pop().axes
+        figure = figures.pop()
+        return {panel.get_title(): panel for panel in figure.axes}
 
     return draw
 
 
-def curves(panels):
-    return [line.get_xydata().T for panel in panels for line in panel.lines]
-
-
-def labels(top):
-    return [text.get_text() for text in top.get_legend().get_texts()]
+def curves(panel):
+    """The lines that show something; seaborn adds empty ones for the legend."""
+    lines = [line.get_xydata() for line in panel.lines]
+    return [xy[~np.isnan(xy).any(1)].T for xy in lines if not np.isnan(xy).all()]
 
 
 def write_tables(folder, at, values):
     """Tables with rows at the steps `at`, and the same `values` in each column."""
     folder.mkdir()
-    columns = {"evals": ["return_mean"], "episodes": ["return"], "metrics": ["some_loss", "speed"]}
+    columns = {"evals": ["seconds", "return_mean", "return_std", "length_mean", "episodes"],
+               "episodes": ["return", "length"], "metrics": ["some_loss", "speed"]}
     for name, column in columns.items():
         rows = pd.DataFrame({"env_step": at, **dict.fromkeys(column, values)})
         rows.to_csv(folder / f"{name}.csv", index=False)
 
 
-def test_the_figure_has_a_large_panel_for_returns_and_one_for_each_metric(script, alone, draw):
-    *small, top = draw(script, alone.parent, script.env_id)
+def test_the_figure_has_a_panel_for_each_quantity(script, alone, draw):
+    panels = draw(script, alone.parent, script.env_id)
     metrics = pd.read_csv(alone / "metrics.csv").drop(columns="env_step")
-    assert [panel.get_ylabel() for panel in small] == [x.replace("_", " ") for x in metrics]
-    assert top.get_title().startswith(f"{script.env_id}, seeds: 1 ")
-    evaluation, training, solved = (text.partition(",")[0] for text in labels(top))
-    assert (evaluation, training, solved) == ("evaluation", "training", "counts as solved")
-    assert set(top.lines[2].get_ydata()) == {gym.spec(script.env_id).reward_threshold}
-    last = [*metrics.iloc[-1], pd.read_csv(alone / "evals.csv")["return_mean"].iloc[-1]]
-    np.testing.assert_allclose([y[-1] for _, y in curves([*small, top])[:-2]], last)
-    *below, large = (panel.get_subplotspec() for panel in (*small, top))
-    assert min(place.rowspan.start for place in below) == large.rowspan.stop
-    assert len({(place.rowspan, place.colspan) for place in below}) == len(small)
+    assert list(panels) == ["return", "length", *(x.replace("_", " ") for x in metrics)]
+    figure = panels["return"].figure
+    assert figure.get_suptitle().startswith(f"{script.env_id}, seeds: 1 ")
+    assert {panel.get_xlabel() for panel in panels.values()} <= {"environment steps", ""}
+    evals, episodes = (pd.read_csv(alone / f"{x}.csv") for x in ("evals", "episodes"))
+    colours = dict(zip((x.get_text() for x in figure.legends[0].get_texts()),
+                       (x.get_color() for x in figure.legends[0].get_lines())))
+    assert set(colours) == {"sampled: training", "deterministic: evaluation"}
+    for name in "return", "length":
+        lines = {line.get_color(): line for line in panels[name].lines if len(line.get_xdata())}
+        evaluation, training = (lines[colours[x]].get_xydata() for x in sorted(colours))
+        last = evals[["env_step", f"{name}_mean"]].iloc[-1]
+        np.testing.assert_allclose(evaluation[~np.isnan(evaluation[:, 1])][-1], last)
+        shown = training[:, 1][~np.isnan(training[:, 1])]
+        assert episodes[name].min() <= shown.min() <= shown.max() <= episodes[name].max()
+    for name, last in metrics.iloc[-1].items():
+        (curve,) = curves(panels[name.replace("_", " ")])
+        np.testing.assert_allclose(curve[1][-1], last)
 
 
 def test_a_curve_is_the_mean_over_seeds_interpolated_where_one_has_no_row(draw, tmp_path):
@@ -882,17 +892,19 @@ def test_a_curve_is_the_mean_over_seeds_interpolated_where_one_has_no_row(draw, 
     seeds = [([0, 100, 700], [0, 5, 8]), ([0, 300, 1000], [6, 3, 0]), ([0, 550, 1000], [1, 1, 9])]
     for i, (at, values) in enumerate(seeds):
         write_tables(tmp_path / f"seed-{i}", at, values)
-    *small, top = draw(PPO, tmp_path)
-    assert "seeds: 3 " in top.get_title()
-    assert [len(panel.lines) for panel in (*small, top)] == [1, 1, 2]
+    panels = draw(PPO, tmp_path)
+    assert list(panels) == ["return", "length", "some loss", "speed"]
+    assert "seeds: 3 " in panels["return"].figure.get_suptitle()
     x = [0, 100, 300, 550, 700, 1000]
     each = [np.interp(x, *seed) for seed in seeds]
-    for curve in curves([*small, top]):
-        np.testing.assert_allclose(curve, [x, np.mean(each, axis=0)])
-    for band in (band for panel in (*small, top) for band in panel.collections):
-        edges = pd.DataFrame(band.get_paths()[0].vertices.round(6)).groupby(0)[1]
-        np.testing.assert_allclose(edges.min(), np.min(each, axis=0), atol=1e-5)
-        np.testing.assert_allclose(edges.max(), np.max(each, axis=0), atol=1e-5)
+    for name, panel in panels.items():
+        assert len(curves(panel)) == (2 if name in ("return", "length") else 1)
+        for curve in curves(panel):
+            np.testing.assert_allclose(curve, [x, np.mean(each, axis=0)])
+        for band in panel.collections:
+            edges = pd.DataFrame(band.get_paths()[0].vertices.round(6)).groupby(0)[1]
+            np.testing.assert_allclose(edges.min(), np.min(each, axis=0), atol=1e-5)
+            np.testing.assert_allclose(edges.max(), np.max(each, axis=0), atol=1e-5)
 
 
 @pytest.mark.parametrize("length", [1000, 1004])
@@ -901,8 +913,9 @@ def test_a_curve_is_of_means_over_hundredths_of_the_run_the_last_one_whole(lengt
     write_tables(tmp_path / "seed-1", at, at)
     hundredth = -(-100 * at // length)
     means = pd.Series(at).groupby(hundredth).mean()
-    for curve in curves(draw(PPO, tmp_path)):
-        np.testing.assert_allclose(curve, [means.index * length / 100, means])
+    for panel in draw(PPO, tmp_path).values():
+        for curve in curves(panel):
+            np.testing.assert_allclose(curve, [means.index * length / 100, means])
 
 
 def test_one_update_in_which_no_episode_ended_is_drawn(draw, tmp_path):
@@ -910,9 +923,7 @@ def test_one_update_in_which_no_episode_ended_is_drawn(draw, tmp_path):
     folder = PPO.train(tmp_path / "run", *options)
     assert contents(folder) == FILES - {"episodes.csv"}
     assert len(steps(folder)) == 1
-    *small, top = draw(PPO, folder.parent)
-    assert all(len(panel.lines) == 1 for panel in small)
-    assert labels(top) == ["evaluation, deterministic actions"]
+    assert all(len(curves(panel)) == 1 for panel in draw(PPO, folder.parent).values())
 
 
 # --- Learning -------------------------------------------------------------------------------------
