@@ -871,16 +871,18 @@ def sb3_race(script, env_id, steps, seed, num_envs):
     return track.rows
 
 
-def race_in_turns(script, env_id, steps, seed):
-    """All learners after one another, each in a process of its own."""
-    counts = (1, 8) if script == PPO else (8,)
+def race_in_turns(script, env_id, steps, seed, out_dir):
+    """All learners after one another, a process each; what an earlier call has run is read."""
     learners = {"ours": (our_race, None)}
-    for count in counts:
+    for count in (1, 8) if script == PPO else (8,):
         learners[f"stable-baselines3, environments: {count}"] = sb3_race, count
     tables = []
     for name, (function, count) in learners.items():
-        rows = fresh(function, script, env_id, steps, seed, count)
-        tables.append(pd.DataFrame(rows).assign(learner=name, env_id=env_id, seed=seed))
+        path = out_dir / f"race__{script}__{env_id}__{steps}__seed-{seed}__{count or 'ours'}.csv"
+        if not path.exists():
+            rows = fresh(function, script, env_id, steps, seed, count)
+            pd.DataFrame(rows).to_csv(path, index=False)
+        tables.append(pd.read_csv(path).assign(learner=name, env_id=env_id, seed=seed))
     return pd.concat(tables)
 
 
@@ -889,8 +891,9 @@ def race(args):
     usual = ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"]
     env_ids = args.env_id or (usual if args.script == PPO else [DEFAULTS[A2C]["env_id"]])
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(race_in_turns, args.script, env_id, args.total_steps, seed)
-                for seed in args.seed for env_id in env_ids]
+        jobs = [
+            pool.submit(race_in_turns, args.script, env_id, args.total_steps, seed, args.out_dir)
+            for seed in args.seed for env_id in env_ids]
         data = pd.concat([job.result() for job in jobs], ignore_index=True)
     data.to_csv(args.out_dir / "race.csv", index=False)
     rows = []

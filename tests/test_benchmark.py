@@ -102,6 +102,26 @@ def test_runs_of_another_version_of_the_script_are_not_mixed_in(tmp_path):
         benchmark.write_variant([], tmp_path)
 
 
+def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end(tmp_path, monkeypatch, capsys):
+    """Ours earns 10 a minute and the peer 1, for ten minutes; seed 2 is half as good in both."""
+    runs = []
+
+    def fresh(function, script, env_id, steps, seed, count):
+        runs.append((function, seed))
+        rate = (10 if function is benchmark.our_race else 1) / seed
+        return [{"env_step": 100 * i, "minutes": float(i), "return": rate * i} for i in range(11)]
+
+    monkeypatch.setattr(benchmark, "fresh", fresh)
+    arguments = ["race", "--script", "a2c_vector", "--seed", "1", "2", "--out-dir", str(tmp_path)]
+    for _ in range(2):
+        benchmark.race(benchmark.parse_args(arguments))
+        (row,) = re.findall(r"^.*stable-baselines3.*$", capsys.readouterr().out, re.MULTILINE)
+        # 7.5 in the mean of 10 and 5, after 1 and 2 whole minutes: 10 minutes / 1.5
+        assert row.split("|")[3:] == [" 10, 5 ", " 10.0 ", " 1.00, 2.00 ", " 7 ", ""]
+        assert len(runs) == 4  # the second call has read what the first one has run
+    assert {"race.csv", "race.png"} < {x.name for x in tmp_path.iterdir()}
+
+
 # --- Studies of many calls ------------------------------------------------------------------------
 
 
