@@ -159,6 +159,24 @@ def rounded(column, digits):
     return [round(x, digits) for x in column]
 
 
+def test_the_table_of_ppo_is_that_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/ppo_returns.csv").sort_values("seed")
+    suite = data[data["total_steps"] == 1_000_000]
+    assert set(suite["env_id"]) == set(benchmark.PUBLISHED)
+    for env_id, runs in suite.groupby("env_id"):
+        (row,) = re.findall(rf"^\| {env_id} \|.* \[.\] \|$", TEXT, re.MULTILINE)
+        _, _, spread, every, sampled, published, _ = row.split("|")
+        returns = runs["eval_return_mean"]
+        assert runs["seed"].tolist() == benchmark.SEEDS[benchmark.PPO]
+        assert numbers(every) == rounded(returns, 1)
+        assert numbers(spread) == rounded([returns.mean(), returns.std()], 1)
+        assert numbers(sampled) == rounded([runs["last_100_returns"].mean()], 1)
+        assert numbers(published.split("[")[0]) == [benchmark.PUBLISHED[env_id]]
+    usual = data[data["total_steps"] == benchmark.DEFAULTS[benchmark.PPO]["total_steps"]]
+    assert len(usual) == 5
+    assert ", ".join(f"{x:.1f}" for x in usual["eval_return_mean"]) in " ".join(TEXT.split())
+
+
 def test_tables_of_a2c_and_reinforce_are_those_of_the_csv_files():
     data = pd.read_csv(harness.ROOT / "assets/a2c_returns.csv").sort_values("seed")
     assert data["seed"].tolist() == list(range(1, 11))
