@@ -589,10 +589,8 @@ def train_seeds(args, folders):
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
-    for seed, job in zip(args.seed, jobs):
-        if job.exception():
-            print(f"seed {seed} failed:", file=sys.stderr)
-            raise job.exception()
+    for job in jobs:
+        job.result()  # raises what went wrong there
 
 
 def main():

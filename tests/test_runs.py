@@ -773,7 +773,7 @@ def test_a_bug_in_the_user_s_environment_is_shown_with_file_and_line(call, figur
     assert len(figures) == 1
 
 
-def test_a_seed_that_fails_is_named_after_the_others_are_done(tmp_path):
+def test_a_seed_that_fails_is_shown_after_the_others_are_done(tmp_path):
     """The environment is beside the script, which is a copy."""
     scripts, cwd = tmp_path / "scripts", tmp_path / "cwd"
     scripts.mkdir()
@@ -782,16 +782,14 @@ def test_a_seed_that_fails_is_named_after_the_others_are_done(tmp_path):
     mine = shutil.copy(ROOT / REINFORCE.file, scripts / "my_script.py")
     options = *REINFORCE.small, "--total-steps", 512, "--num-evals", 4, "--seed", 1, 2
     process = run(mine, "--env-id", "beside:Buggy-v0", *options, cwd=cwd, status=1)
-    before, named, after = process.err.partition("seed 2 failed:\n")
-    assert named
-    assert f'beside.py", line {BUGGY_LINE}, in reward' in after
-    assert after.rstrip().endswith("ZeroDivisionError: division by zero")
-    assert "Error" not in before
-    assert "seed 1 failed" not in process.err
+    assert f'beside.py", line {BUGGY_LINE}, in reward' in process.err
+    assert process.err.rstrip().endswith("ZeroDivisionError: division by zero")
     assert re.search("__my_script__", run_folder(cwd).name)
     assert steps(run_folder(cwd) / "seed-1")[-1] >= 512
     assert steps(run_folder(cwd) / "seed-2", "evals") == [0]
-    assert len(re.findall("(?m)^return 3.0 after", process.out)) == 2
+    first, second = re.findall("(?m)^return 3.0 after ([0-9]+) steps.*seed-.*$", process.out)
+    assert int(first) >= 512
+    assert int(second) == 0
 
 
 @pytest.mark.filterwarnings("ignore:.*The reward is a NaN value")
