@@ -444,7 +444,7 @@ def interquartile_mean(scores):
     return np.sort(scores)[quarter:len(scores) - quarter].mean()
 
 
-def compare_with_published(data):
+def compare_with_published(data, path):
     """Scores: 0 is random actions, 1 what was published; their interquartile mean over all runs."""
     data = data[data["env_id"].isin(PUBLISHED) & data["flags"].eq("")
                 & data["total_steps"].eq(1_000_000)]
@@ -456,6 +456,7 @@ def compare_with_published(data):
     low, high = data["env_id"].map(table["random"]), data["env_id"].map(table["published"])
     scores = data.assign(score=(data["eval_return_mean"] - low) / (high - low)).groupby("env_id")
     table["score"] = scores["score"].mean()
+    table.to_csv(path, index_label="env_id")
     print_table(["environment", "random actions", "published", "ours", "score"],
                 [[name, *(f"{x:.4g}" for x in row)] for name, *row in table.itertuples()])
     runs, random = [x.to_numpy() for _, x in scores["score"]], np.random.default_rng(1)
@@ -469,7 +470,7 @@ def compare_with_published(data):
 def returns(args):
     data, evals, _ = train_or_load(args)
     if args.script == PPO:
-        compare_with_published(data)
+        compare_with_published(data, args.out_dir / "scores.csv")
     if args.plot:
         plot(evals, args.out_dir / f"{args.study}.png", PUBLISHED if args.script == PPO else {})
     print_versions(data)
