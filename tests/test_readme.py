@@ -198,13 +198,18 @@ def test_tables_of_a2c_and_reinforce_are_those_of_the_csv_files():
 
 def test_the_table_of_robustness_is_that_of_the_csv_file():
     data = pd.read_csv(harness.ROOT / "assets/robustness.csv")
-    for trained, runs in data.groupby("trained"):
-        (row,) = re.findall(rf"^\| `?{trained}`? \|.*$", TEXT, re.MULTILINE)
-        usual = runs["gravity"].eq(-10) & runs["wind_power"].eq(0)
-        for cell, worlds in ((2, usual | True), (4, usual)):
-            agents = runs[worlds].groupby("seed")["return_mean"].mean()
-            assert len(agents) == 10
-            assert numbers(row.split("|")[cell]) == rounded([agents.mean(), agents.std()], 1)
+    usual = data["gravity"].eq(-10) & data["wind_power"].eq(0)
+    edge = data["gravity"].isin((-2, -11.9)) | data["wind_power"].isin((0, 20))
+    for cell, worlds in ((2, usual | True), (3, edge), (4, usual)):
+        agents = data[worlds].groupby(["trained", "seed"])["return_mean"].mean()
+        for trained in "default", "--randomize":
+            (row,) = re.findall(rf"^\| `?{trained}`? \|.*$", TEXT, re.MULTILINE)
+            x = agents[trained]
+            assert len(x) == 10
+            assert numbers(row.split("|")[cell]) == rounded([x.mean(), x.std()], 1)
+        (row,) = re.findall(r"^\| difference, 95% interval \|.*$", TEXT, re.MULTILINE)
+        gap, _, margin = benchmark.difference(agents["--randomize"], agents["default"])
+        assert numbers(row.split("|")[cell]) == rounded([gap, margin], 1)
 
 
 def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
