@@ -123,7 +123,7 @@ def parse_args(argv=None):
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="λ: 0 trusts V, 1 the rewards")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are shrunk")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
@@ -313,7 +313,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # networks this small do not gain by more threads
+    torch.set_num_threads(1)  # networks this small do not gain from more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)

@@ -14,7 +14,7 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 of about 9,350.
+It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 of 9,360 at most.
 `--help` lists all options; each run leaves a folder in `runs`.
 
     python ppo_continuous.py --seed 1 2 3 4 5
@@ -128,10 +128,10 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 ± ε")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are shrunk")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; 1: as weights")
+    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; weights have 1")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -370,7 +370,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # networks this small do not gain by more threads
+    torch.set_num_threads(1)  # networks this small do not gain from more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args)
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)

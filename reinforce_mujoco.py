@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, baseline):
 
 def train(args, seed):
     """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # networks this small do not gain by more threads
+    torch.set_num_threads(1)  # networks this small do not gain from more threads
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     env = record_episodes(gym.make(args.env_id))
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # later resets go on from this seed

@@ -780,7 +780,7 @@ def test_a_seed_that_fails_is_shown_after_the_others_are_done(tmp_path):
     cwd.mkdir()
     write_bug(scripts / "beside.py")
     mine = shutil.copy(ROOT / REINFORCE.file, scripts / "my_script.py")
-    options = *REINFORCE.small, "--total-steps", 512, "--num-evals", 4, "--seed", 1, 2
+    options = *REINFORCE.small, "--total-steps", 512, "--num-evals", 4, "--seed", 2, 1
     process = run(mine, "--env-id", "beside:Buggy-v0", *options, cwd=cwd, status=1)
     assert f'beside.py", line {BUGGY_LINE}, in reward' in process.err
     assert process.err.rstrip().endswith("ZeroDivisionError: division by zero")
