@@ -732,14 +732,7 @@ def ablation(args):
         data = pd.DataFrame(jobs, columns=["variant", "env_id", "seed"])
         data["return_mean"] = [run.result() for run in runs]
     data.to_csv(args.out_dir / "ablation.csv", index=False)
-    rows = []
-    for (env_id, name), runs in data.groupby(["env_id", "variant"], sort=False)["return_mean"]:
-        usual = data[data["env_id"].eq(env_id) & data["variant"].eq("defaults")]["return_mean"]
-        gap, _, margin = difference(runs, usual) if name != "defaults" else (0.0, 0.0, 0.0)
-        rows.append({"environment": env_id, "variant": name, "mean": runs.mean(),
-                     "std": runs.std(), "difference": gap, "margin": margin,
-                     "seeds": ", ".join(f"{x:.0f}" for x in runs)})
-    table = pd.DataFrame(rows)
+    table = ablation_table(data)
     for env_id, x in table.groupby("environment", sort=False):
         print_table([f"{env_id}, {args.total_steps:,} steps", "mean ± std", "difference, 95%",
                      "every seed"],
@@ -748,6 +741,18 @@ def ablation(args):
                      for row in x.itertuples()])
     draw_ablation(table, args)
     print_machine(json.dumps(installed()))
+
+
+def ablation_table(data):
+    """For each environment and variant: its returns, and how they differ from the defaults."""
+    rows = []
+    for (env_id, name), runs in data.groupby(["env_id", "variant"], sort=False)["return_mean"]:
+        usual = data[data["env_id"].eq(env_id) & data["variant"].eq("defaults")]["return_mean"]
+        gap, _, margin = difference(runs, usual) if name != "defaults" else (0.0, 0.0, 0.0)
+        rows.append({"environment": env_id, "variant": name, "mean": runs.mean(),
+                     "std": runs.std(), "difference": gap, "margin": margin,
+                     "seeds": ", ".join(f"{x:.0f}" for x in runs)})
+    return pd.DataFrame(rows)
 
 
 def draw_ablation(table, args):
@@ -887,6 +892,23 @@ def race_in_turns(script, env_id, steps, seed, out_dir):
     return pd.concat(tables)
 
 
+def race_rows(data):
+    """For each learner: final returns, minutes, when ours had their mean, how many times sooner."""
+    rows = []
+    for env_id, runs in data.groupby("env_id", sort=False):
+        ours = runs[runs["learner"] == "ours"]
+        for learner, x in runs.groupby("learner", sort=False):
+            last = x.groupby("seed")[["minutes", "return"]].last()
+            goal = last["return"].mean()
+            passed = ours[ours["return"] >= goal].groupby("seed")["minutes"].first()
+            passed = passed.reindex(last.index, fill_value=math.inf)
+            rows.append([env_id, learner, ", ".join(f"{x:.0f}" for x in last["return"]),
+                         f"{last['minutes'].mean():.1f}", *(["–"] * 2 if learner == "ours" else [
+                             ", ".join(f"{x:.2f}" for x in passed),
+                             f"{last['minutes'].mean() / passed.median():.0f}"])])
+    return rows
+
+
 def race(args):
     """Return against minutes, ours and stable-baselines3's."""
     usual = ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"]
@@ -897,20 +919,8 @@ def race(args):
             for seed in args.seed for env_id in env_ids]
         data = pd.concat([job.result() for job in jobs], ignore_index=True)
     data.to_csv(args.out_dir / "race.csv", index=False)
-    rows = []
-    for env_id, runs in data.groupby("env_id", sort=False):
-        ours = runs[runs["learner"] == "ours"]
-        for learner, x in runs.groupby("learner", sort=False):
-            last = x.groupby("seed")[["minutes", "return"]].last()
-            goal = last["return"].mean()
-            passed = ours[ours["return"] >= goal].groupby("seed")["minutes"].first()
-            passed = passed.reindex(sorted(args.seed), fill_value=math.inf)
-            rows.append([env_id, learner, ", ".join(f"{x:.0f}" for x in last["return"]),
-                         f"{last['minutes'].mean():.1f}", *(["–"] * 2 if learner == "ours" else [
-                             ", ".join(f"{x:.2f}" for x in passed),
-                             f"{last['minutes'].mean() / passed.median():.0f}"])])
     print_table(["environment", "learner", "final return, every seed", "minutes",
-                 "minutes until ours has its mean", "ratio of the median"], rows)
+                 "minutes until ours has its mean", "ratio of the median"], race_rows(data))
     grid = sns.relplot(data, x="minutes", y="return", hue="learner", col="env_id", units="seed",
                        estimator=None, kind="line", height=3.2, facet_kws={"sharey": False})
     grid.set_titles("{col_name}").set_axis_labels("minutes of training", "evaluation return (raw)")

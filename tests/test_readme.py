@@ -12,6 +12,7 @@ import sys
 import tokenize
 
 import benchmark
+import gymnasium as gym
 import harness
 import pandas as pd
 import pytest
@@ -219,6 +220,24 @@ def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
     for number, returns in enumerate(data.to_numpy().T, start=1):
         (cell,) = re.findall(rf"^\| {number} \| ([^|]*) \|", answers, re.MULTILINE)
         assert numbers(cell) == rounded(returns, 0)
+
+
+def test_tasks_and_symbols_are_those_of_the_defaults():
+    for defaults in benchmark.DEFAULTS.values():
+        env = gym.make(defaults["env_id"])
+        (row,) = re.findall(rf"^\| {env.spec.id} \| \d numbers.*$", TEXT, re.MULTILINE)
+        _, _, state, action, *_ = row.split("|")
+        assert state.startswith(f" {env.observation_space.shape[0]} numbers:")
+        if isinstance(env.action_space, gym.spaces.Box):
+            assert numbers(action) == [env.action_space.low.item(), env.action_space.high.item()]
+        else:
+            assert numbers(action) == [env.action_space.n]
+        assert env.spec.max_episode_steps == 1000
+    for flag in "gamma", "gae_lambda", "clip_eps":
+        (row,) = re.findall(rf"^\| . \| `--{flag.replace('_', '-')}` \|.*$", TEXT, re.MULTILINE)
+        cells = zip(row.split("|")[3:6], (benchmark.REINFORCE, benchmark.A2C, benchmark.PPO))
+        for cell, script in cells:
+            assert cell.strip() == str(benchmark.DEFAULTS[script].get(flag, "–")), flag
 
 
 def test_the_table_at_the_top_counts_lines_right():
