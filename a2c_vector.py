@@ -27,12 +27,13 @@ the discounted sum of the rewards that follow s_t. Both see s normalised, by a r
      Play a rollout: T steps in each of N environments with π.
   2. Multiply r by a constant, so that V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)        target of the critic: what A says that V(s_t) should have been
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)
+     This is the advantage of u_t: how much better than V predicted it turned out in the long run.
+     R_t = A_t + V(s_t)   target of the critic: what V(s_t) should have been, according to A
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
-  5. Standardise A in the rollout: mean 0, std 1, whatever its unit. Take one step of Adam on
+  5. Standardise A in the rollout: mean 0, std 1. For actor and for critic compute the gradient of
          −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
-     First its gradients, of actor and of critic, are shortened to max_grad_norm if longer.
+     If it is longer than max_grad_norm, shorten it to that. Take a step of Adam.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
 Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
     settling on one action too early.
@@ -50,15 +51,17 @@ or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (va
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
-one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
-factor γ^t. It is left out here, as usual, so that late steps count like early ones.) So push up the
-probability of each action in proportion to what followed it.
+(G was held fixed here. Through later actions it depends on the weights, too. By the product rule
+that adds E[∇G], which is γ times the same expression, one step later. So the gradient of a whole
+episode is a sum with a term for each step, and that of step t has a factor γ^t. The factor is left
+out here, as usual, so that late steps count like early ones.) So push up the probability of each
+action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1.
-E is over actions of π as it is. A step of Adam changes π, so the next one needs a new rollout.
+A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. Standardised
+A does as well: to take off its mean is to add to b, and to divide by its std scales the gradient.
+All this holds for actions drawn from π as it is. Adam changes π, so each step needs a new rollout.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
 episode has to be played to its end; many environments, which soon are at different points of their
@@ -138,7 +141,7 @@ class RunningNorm(nn.Module):
     """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
     They are buffers: they are saved with the weights, and nothing but `update` changes them. At
-    first they are 0 and 1: the first rollout is played with states that are not normalised.
+    first they are 0 and 1: in the first rollout the states are only held within ±10.
     """
 
     def __init__(self, shape):
@@ -288,7 +291,7 @@ def optimise(agent, optimizer, batch, args):
         advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
-    # A = R − V is what V did not predict of R. 1: nothing is left, 0: no better than a constant.
+    # The share of the variance of R that V predicts; A = R − V is the rest. A constant has 0.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     policy = agent.policy(obs)
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
@@ -374,9 +377,9 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose (stream); another purpose or another seed has others.
+    """`count` integers; each seed has its own, and so has each purpose (stream).
 
-    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -384,7 +387,8 @@ def make_seeds(seed, stream, count):
 def check_finite(first, step, *arrays):
     """Ends the run in one line if an environment returned NaN or infinity.
 
-    Row i of the arrays (N, …) comes from environment `first` + i.
+    Row i of the arrays (N, …) comes from environment `first` + i. `step` counts from the start of
+    training, in an evaluation from that of the episode.
     """
     for values in arrays:
         if not np.isfinite(values).all():
@@ -396,11 +400,11 @@ def check_finite(first, step, *arrays):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each of `envs`, side by side: one call of π serves them all."""
+    """A deterministic episode in each of `envs`, side by side; the same starts at every call."""
     seeds = make_seeds(seed, stream=1, count=len(envs))
     obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
     while obs:  # the last observation of each environment whose episode goes on
-        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
+        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)  # for all at once
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
             check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
@@ -448,7 +452,7 @@ def make_folder(args):
 
 
 def run(args, seed, folder, position=0):
-    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
     pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
@@ -493,9 +497,9 @@ def save(args, seed, folder, tables, agent, optimizer):
 
 
 def resume(path, agent, optimizer):
-    """Bring back agent, optimizer and noise; returns the environment steps that they took.
+    """Bring back agent, optimizer and random numbers; returns the environment steps so far.
 
-    Episodes that were going on are lost. On a GPU the noise starts anew.
+    Episodes that were going on are lost. On a GPU the random numbers start anew.
     """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
@@ -546,7 +550,7 @@ def number(kind, low, high=1e12):
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    parse.__name__ = kind.__name__  # argparse names it where `text` is no number
+    parse.__name__ = kind.__name__  # argparse says it if `text` is no number
     return parse
 
 
@@ -573,7 +577,7 @@ def check(parser, argv):
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
         name = "--env-id" if path is None else f"--watch or --resume: {path}"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {name}: {error!r}")
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args
@@ -584,7 +588,7 @@ def train_seeds(args, folders):
     if len(folders) == 1:
         return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -596,7 +600,7 @@ def train_seeds(args, folders):
 def main():
     matplotlib.use("agg")  # draws into files, needs no display
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
-    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+    if hasattr(sys.stdout, "reconfigure"):  # not in a notebook
         sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
@@ -606,7 +610,7 @@ def main():
     try:
         train_seeds(args, folders)
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # other seeds, or environments
+        for process in multiprocessing.active_children():  # several seeds, or environments
             process.terminate()
     finally:
         if any(folder.glob("**/metrics.csv")):

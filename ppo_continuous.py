@@ -28,17 +28,18 @@ the discounted sum of the rewards that follow s_t. Both see s normalised, by a r
      Play a rollout: T steps in each of N environments with π, called π_old from now on.
   2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)   advantage
-     R_t = A_t + V(s_t)        target of the critic: what A says that V(s_t) should have been
+  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)
+     This is the advantage of u_t: how much better than V predicted it turned out in the long run.
+     R_t = A_t + V(s_t)   target of the critic: what V(s_t) should have been, according to A
      (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
   5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
      If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
-     Standardise A in the minibatch: mean 0, std 1, whatever its unit. Take a step of Adam on
+     Standardise A in the minibatch: mean 0, std 1. For all weights together compute the gradient of
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c_H·H.
-     First its gradient, of all weights together, is shortened to max_grad_norm if it is longer.
+     If it is longer than max_grad_norm, shorten it to that. Take a step of Adam.
   6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
-Symbols: γ discount; ε clip range; H = −E[log π] entropy of u, large if σ is, weight c_H;
-    μ(s), σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old, 0 if alike.
+Symbols: γ discount; ε clip range; H = −E[log π] entropy of u (large if σ is), c_H its weight; μ(s),
+    σ mean and std of π; KL mean of log π_old(u|s) − log π(u|s) over u of π_old (0 if alike).
 Shapes: T steps of N environments; B rows of a batch, M of a minibatch; D numbers in s; K in u.
 Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
     those of training, without evaluations.
@@ -53,14 +54,16 @@ or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (va
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
-one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
-factor γ^t. It is left out here, as usual, so that late steps count like early ones.) So push up the
-probability of each action in proportion to what followed it.
+(G was held fixed here. Through later actions it depends on the weights, too. By the product rule
+that adds E[∇G], which is γ times the same expression, one step later. So the gradient of a whole
+episode is a sum with a term for each step, and that of step t has a factor γ^t. The factor is left
+out here, as usual, so that late steps count like early ones.) So push up the probability of each
+action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1.
+A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. Standardised
+A does as well: to take off its mean is to add to b, and to divide by its std scales the gradient.
 PPO takes many steps of Adam on the same rollout, which π_old played. So each u is weighted by ρ:
 the mean over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du,
 as above with A for G. The farther π is from π_old, the more ρ varies, and the more noise this has;
@@ -145,7 +148,7 @@ class RunningNorm(nn.Module):
     """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
 
     They are buffers: they are saved with the weights, and nothing but `update` changes them. At
-    first they are 0 and 1: the first rollout is played with states that are not normalised.
+    first they are 0 and 1: in the first rollout the states are only held within ±10.
     """
 
     def __init__(self, shape):
@@ -217,7 +220,8 @@ class Agent(nn.Module):
     def act(self, obs, deterministic=False):
         """NumPy (N, D) -> NumPy: samples u of π, or the mean μ, and actions a = g(u); (N, K).
 
-        g is tanh, stretched to (low, high). For a, ρ is the same: the factors 1/|g'(u)| cancel.
+        g is tanh, stretched to (low, high). The density of a is that of u over |g'(u)|. In ρ, a
+        ratio of two densities, |g'(u)| cancels: so all the rest can work with u.
         """
         obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
         policy = self.policy(obs)
@@ -269,8 +273,8 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
 
     V predicts a discounted sum of rewards to come. F is such a sum of past rewards: it varies about
     as much and is known at once. The mean of r is not subtracted, else a reward of 1 for each step
-    would become 0. `past_return` (N,) is F at the end of the last rollout, 0 where an episode
-    ended. Returns the scaled rewards, and F at the end of this rollout.
+    would become 0. `past_return` (N,) is F at the end of the previous rollout, 0 where an episode
+    ended (and before the first rollout). Returns the scaled rewards, and the same for this rollout.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -336,7 +340,7 @@ def optimise(agent, optimizer, batch, args):
                                  batch["done"], args.gamma, args.gae_lambda).flatten()
         targets = advantages + values.flatten()
         old_log_probs = agent.policy(obs).log_prob(samples).sum(-1)  # no step yet: π is still π_old
-    # A = R − V is what V did not predict of R. 1: nothing is left, 0: no better than a constant.
+    # The share of the variance of R that V predicts; A = R − V is the rest. A constant has 0.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     logs = []
     for _ in range(args.epochs):
@@ -415,9 +419,9 @@ def make_envs(args, *wrappers):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose (stream); another purpose or another seed has others.
+    """`count` integers; each seed has its own, and so has each purpose (stream).
 
-    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -425,7 +429,8 @@ def make_seeds(seed, stream, count):
 def check_finite(first, step, *arrays):
     """Ends the run in one line if an environment returned NaN or infinity.
 
-    Row i of the arrays (N, …) comes from environment `first` + i.
+    Row i of the arrays (N, …) comes from environment `first` + i. `step` counts from the start of
+    training, in an evaluation from that of the episode.
     """
     for values in arrays:
         if not np.isfinite(values).all():
@@ -437,11 +442,11 @@ def check_finite(first, step, *arrays):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each of `envs`, side by side: one call of π serves them all."""
+    """A deterministic episode in each of `envs`, side by side; the same starts at every call."""
     seeds = make_seeds(seed, stream=1, count=len(envs))
     obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
     while obs:  # the last observation of each environment whose episode goes on
-        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
+        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)  # for all at once
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
             check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
@@ -489,7 +494,7 @@ def make_folder(args):
 
 
 def run(args, seed, folder, position=0):
-    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
     pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
@@ -534,9 +539,9 @@ def save(args, seed, folder, tables, agent, optimizer):
 
 
 def resume(path, agent, optimizer):
-    """Bring back agent, optimizer and noise; returns the environment steps that they took.
+    """Bring back agent, optimizer and random numbers; returns the environment steps so far.
 
-    Episodes that were going on are lost. On a GPU the noise starts anew.
+    Episodes that were going on are lost. On a GPU the random numbers start anew.
     """
     checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
     agent.load_state_dict(checkpoint["agent"])
@@ -587,7 +592,7 @@ def number(kind, low, high=1e12):
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    parse.__name__ = kind.__name__  # argparse names it where `text` is no number
+    parse.__name__ = kind.__name__  # argparse says it if `text` is no number
     return parse
 
 
@@ -612,7 +617,7 @@ def check(parser, argv):
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
         name = "--env-id" if path is None else f"--watch or --resume: {path}"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {name}: {error!r}")
     if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
         parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
     return args
@@ -623,7 +628,7 @@ def train_seeds(args, folders):
     if len(folders) == 1:
         return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -635,7 +640,7 @@ def train_seeds(args, folders):
 def main():
     matplotlib.use("agg")  # draws into files, needs no display
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
-    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+    if hasattr(sys.stdout, "reconfigure"):  # not in a notebook
         sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
@@ -645,7 +650,7 @@ def main():
     try:
         train_seeds(args, folders)
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # other seeds, or environments
+        for process in multiprocessing.active_children():  # several seeds, or environments
             process.terminate()
     finally:
         if any(folder.glob("**/metrics.csv")):

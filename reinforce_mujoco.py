@@ -35,7 +35,7 @@ on until the episode ends after T steps.
               so that it has the same size in every batch
        value  b_t = V(s_t), a second network (the critic) that learns to predict G_t
   4. A step of Adam on  −mean(A·log π(u|s)) + ½·mean((V(s) − G)²), the means over the batch.
-     A and G are numbers there: no gradient goes through them. (Without a critic V = 0.)
+     A and G are constants there: no gradient goes through them. (Without a critic V = 0.)
   5. Throw the batch away, for the new π would play other episodes. Go to 1, until enough steps
      were played.
 Symbols: γ discount: G looks about 1/(1 − γ) = 50 steps ahead, and so varies less than a plain sum;
@@ -48,11 +48,12 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(Later actions, and so G(u), depend on the weights, too. But each later step adds a term like this
-one, and the gradient for a whole episode is the sum of these terms. Strictly, that of step t has a
-factor γ^t ([2] section 13.3). It is left out here, as usual, so that late steps count like early
-ones.) So push up the probability of each action in proportion to the G that followed it ([1]): with
-G held constant, −mean(G·log π) has this gradient, times −1.
+(G was held fixed here. Through later actions it depends on the weights, too. By the product rule
+that adds E[∇G], which is γ times the same expression, one step later. So the gradient of a whole
+episode is a sum with a term for each step, and that of step t has a factor γ^t ([2] section 13.3).
+The factor is left out here, as usual, so that late steps count like early ones.) So push up the
+probability of each action in proportion to the G_t that followed it, which is G(u) on average
+([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times −1.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. With a typical G subtracted, actions that
 were worse than usual are pushed down, and there is less noise. On average this changes nothing: if
@@ -288,9 +289,9 @@ def record_episodes(env):
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers for one purpose (stream); another purpose or another seed has others.
+    """`count` integers; each seed has its own, and so has each purpose (stream).
 
-    Stream 0: networks and noise, 1: evaluations, 2 + k: environments that (re)start after k steps.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -298,7 +299,8 @@ def make_seeds(seed, stream, count):
 def check_finite(first, step, *arrays):
     """Ends the run in one line if an environment returned NaN or infinity.
 
-    Row i of the arrays (N, …) comes from environment `first` + i.
+    Row i of the arrays (N, …) comes from environment `first` + i. `step` counts from the start of
+    training, in an evaluation from that of the episode.
     """
     for values in arrays:
         if not np.isfinite(values).all():
@@ -310,11 +312,11 @@ def check_finite(first, step, *arrays):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each of `envs`, side by side: one call of π serves them all."""
+    """A deterministic episode in each of `envs`, side by side; the same starts at every call."""
     seeds = make_seeds(seed, stream=1, count=len(envs))
     obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
     while obs:  # the last observation of each environment whose episode goes on
-        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)
+        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)  # for all at once
         for env, action in zip(list(obs), actions):
             obs[env], reward, terminated, truncated, _ = env.step(action)
             check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
@@ -362,7 +364,7 @@ def make_folder(args):
 
 
 def run(args, seed, folder, position=0):
-    """Train one seed; all that it leaves goes into `folder`. `position`: of its progress bar."""
+    """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
     pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
@@ -445,7 +447,7 @@ def number(kind, low, high=1e12):
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    parse.__name__ = kind.__name__  # argparse names it where `text` is no number
+    parse.__name__ = kind.__name__  # argparse says it if `text` is no number
     return parse
 
 
@@ -469,7 +471,7 @@ def check(parser, argv):
             Agent(*spaces, args).load_state_dict(checkpoint["agent"])
     except expected as error:
         name = "--env-id" if path is None else f"--watch: {path}"
-        parser.error(f"argument {name}: {error!r}".splitlines()[0])
+        parser.error(f"argument {name}: {error!r}")
     if len(set(args.seed)) < len(args.seed):
         parser.error(f"argument --seed: got {args.seed}, takes each once")
     return args
@@ -480,7 +482,7 @@ def train_seeds(args, folders):
     if len(folders) == 1:
         return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is not for the processes that start now
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
     pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -492,7 +494,7 @@ def train_seeds(args, folders):
 def main():
     matplotlib.use("agg")  # draws into files, needs no display
     sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
-    if hasattr(sys.stdout, "reconfigure"):  # a notebook's has not
+    if hasattr(sys.stdout, "reconfigure"):  # not in a notebook
         sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
     args = parse_args()
     if args.watch:
@@ -502,7 +504,7 @@ def main():
     try:
         train_seeds(args, folders)
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # the other seeds
+        for process in multiprocessing.active_children():  # several seeds
             process.terminate()
     finally:
         if any(folder.glob("**/metrics.csv")):
