@@ -616,11 +616,12 @@ def baselines(args):
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     colours = dict(zip(BASELINES, sns.color_palette("colorblind")))
     curves = in_bins(episodes.assign(flags=episodes["baseline"].fillna("value")), "return")
-    sns.lineplot(curves, x="env_step", y="return", hue="flags", palette=colours, ax=left,
-                 hue_order=BASELINES, errorbar=("pi", 100))
+    style = {"x": "env_step", "y": "return", "hue": "flags", "palette": colours, "ax": left}
+    sns.lineplot(curves, **style, units="seed", estimator=None, linewidth=0.6, legend=False)
+    sns.lineplot(curves, **style, hue_order=BASELINES, errorbar=None, linewidth=3)
     left.legend(title="--baseline")
     left.set(xlabel="environment steps", ylabel="training return (raw)",
-             title=f"mean, lowest and highest of {data['seed'].nunique()} seeds")
+             title=f"{data['seed'].nunique()} seeds, and their mean (thick)")
     sns.barplot(table, x="baseline", y="relative", hue="baseline", palette=colours, ax=right)
     for bars in right.containers:
         right.bar_label(bars, fmt="%.3g")

@@ -213,6 +213,23 @@ def test_the_table_of_robustness_is_that_of_the_csv_file():
         assert numbers(row.split("|")[cell]) == rounded([gap, margin], 1)
 
 
+def test_the_tables_of_the_ablation_are_those_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/ablation.csv")
+    assert list(data["variant"].unique()) == list(benchmark.ABLATIONS)
+    for _, runs in data.groupby(["env_id", "variant"]):
+        assert runs["seed"].tolist() == benchmark.SEEDS[benchmark.PPO]
+    for env_id, table in benchmark.ablation_table(data).groupby("environment"):
+        rows = TEXT.split(f"\n| {env_id}, 500,000 steps |")[1].split("\n\n")[0]
+        assert rows.count("\n") == len(table) + 1
+        for x in table.itertuples():
+            (row,) = re.findall(rf"^\| {x.variant} \|(.*)\|$", rows, re.MULTILINE)
+            spread, gap, every = row.split("|")
+            assert numbers(spread) == rounded([x.mean, x.std], 0)
+            assert every.strip().replace("−", "-") == x.seeds
+            if x.variant != "defaults":
+                assert numbers(gap) == rounded([x.difference, x.margin], 0)
+
+
 def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
     data = pd.read_csv(harness.ROOT / "assets/exercises.csv")
     assert list(data) == list(benchmark.EXERCISES)
