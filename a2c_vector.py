@@ -61,7 +61,7 @@ E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an
 than expected it turned out: on average the gradient stays the same, but it has less noise.
 A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. Standardised
 A does as well: to take off its mean is to add to b, and to divide by its std scales the gradient.
-All this holds for actions drawn from π as it is. Adam changes π, so each step needs a new rollout.
+All this holds for actions of the present π. So after each step of Adam a new rollout is needed.
 
 = REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
 episode has to be played to its end; many environments, which soon are at different points of their
