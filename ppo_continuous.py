@@ -54,16 +54,16 @@ or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (va
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G was held fixed here. Through later actions it depends on the weights, too. By the product rule
-that adds E[∇G], which is γ times the same expression, one step later. So the gradient of a whole
-episode is a sum with a term for each step, and that of step t has a factor γ^t. The factor is left
-out here, as usual, so that late steps count like early ones.) So push up the probability of each
-action in proportion to what followed it.
+(G was held fixed here. But it is r plus γ times the E[G] of the next state, which depends on the
+weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on: the
+gradient of a whole episode is a sum with a term for each step, and that of step t has a factor γ^t.
+The factor is left out here, as usual, so that late steps count like early ones.) So push up the
+probability of each action in proportion to what followed it.
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
 A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. Standardised
-A does as well: to take off its mean is to add to b, and to divide by its std scales the gradient.
+A has nearly the same: its mean joins b, its std scales it, and u has only a small share in both.
 PPO takes many steps of Adam on the same rollout, which π_old played. So each u is weighted by ρ:
 the mean over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du,
 as above with A for G. The farther π is from π_old, the more ρ varies, and the more noise this has;
@@ -136,7 +136,7 @@ def parse_args(argv=None):
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
     add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; weights have 1")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
+    add("--num-evals", type=number(int, 1, 1e6), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -163,13 +163,13 @@ class RunningNorm(nn.Module):
     def update(self, rows):
         """Pool `rows` (B, …) with all earlier ones ([5]). With the share w of the new ones:
 
-        mean ← (1−w)·mean + w·mean_new
         var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        mean ← (1−w)·mean + w·mean_new
         """
         self.count += len(rows)
         weight = len(rows) / self.count
         gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
-        # A dimension that never moved must not divide by zero.
+        # Of a dimension that never moved the variance is 0; nothing may be divided by that.
         self.var.lerp_(rows.var(0, correction=0) + gap, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
@@ -452,8 +452,7 @@ def evaluate(agent, envs, seed):
             check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
-    returns = np.array([env.return_queue[-1] for env in envs], dtype=float)
-    lengths = np.array([env.length_queue[-1] for env in envs])
+    returns, lengths = np.array([(env.episode_returns, env.episode_lengths) for env in envs]).T
     return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
             "length_mean": lengths.mean().item(), "episodes": len(envs)}
 
@@ -497,8 +496,7 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
-    next_eval = 0
+    due = np.linspace(0, args.total_steps, args.num_evals + 1)  # when to evaluate
     seconds = 0.0
     start = time.perf_counter()
     if args.resume:
@@ -512,11 +510,11 @@ def run(args, seed, folder, position=0):
                 tables["episodes"] += episodes
                 speed = {"steps_per_second": env_step / seconds}
                 tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
-            if env_step >= next_eval:
+            if env_step >= due[0]:
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                next_eval = min((env_step // pause + 1) * pause, args.total_steps)
+                due = due[due > env_step]
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
             bar.set_postfix_str(
@@ -586,14 +584,13 @@ def plot(folder, env_id):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
 
-    def parse(text):
+    def numeric(text):  # argparse says "invalid numeric value" if float(text) fails
         value = float(text)
         if low <= value <= high and kind(value) == value:
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    parse.__name__ = kind.__name__  # argparse says it if `text` is no number
-    return parse
+    return numeric
 
 
 def check(parser, argv):
@@ -604,8 +601,8 @@ def check(parser, argv):
     try:
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
-            parser.set_defaults(**checkpoint["args"])
-            args = parser.parse_args(argv)  # again: the command line overrides the checkpoint
+            # The command line goes before what the checkpoint says, and this before the defaults.
+            args = parser.parse_args(argv, argparse.Namespace(**checkpoint["args"]))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
         boxes = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
@@ -629,7 +626,7 @@ def train_seeds(args, folders):
         return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
-    pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
+    pool = ProcessPoolExecutor(None, context, tqdm.set_lock, (context.RLock(),))
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)

@@ -48,12 +48,13 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G was held fixed here. Through later actions it depends on the weights, too. By the product rule
-that adds E[∇G], which is γ times the same expression, one step later. So the gradient of a whole
-episode is a sum with a term for each step, and that of step t has a factor γ^t ([2] section 13.3).
-The factor is left out here, as usual, so that late steps count like early ones.) So push up the
-probability of each action in proportion to the G_t that followed it, which is G(u) on average
-([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times −1.
+(G was held fixed here. But it is r plus γ times the E[G] of the next state, which depends on the
+weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on: the
+gradient of a whole episode is a sum with a term for each step, and that of step t has a factor γ^t
+([2] section 13.3). The factor is left out here, as usual, so that late steps count like early
+ones.) So push up the probability of each action in proportion to the G_t that followed it, which is
+G(u) on average ([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times
+−1.
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. With a typical G subtracted, actions that
 were worse than usual are pushed down, and there is less noise. On average this changes nothing: if
@@ -117,7 +118,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of Adam; it falls to 0")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount of later rewards, γ")
     add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, one more at start")
+    add("--num-evals", type=number(int, 1, 1e6), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     return check(parser, argv)
 
@@ -322,8 +323,7 @@ def evaluate(agent, envs, seed):
             check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
             if terminated or truncated:
                 del obs[env]
-    returns = np.array([env.return_queue[-1] for env in envs], dtype=float)
-    lengths = np.array([env.length_queue[-1] for env in envs])
+    returns, lengths = np.array([(env.episode_returns, env.episode_lengths) for env in envs]).T
     return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
             "length_mean": lengths.mean().item(), "episodes": len(envs)}
 
@@ -367,8 +367,7 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    pause = args.total_steps / args.num_evals  # steps from one evaluation to the next
-    next_eval = 0
+    due = np.linspace(0, args.total_steps, args.num_evals + 1)  # when to evaluate
     seconds = 0.0
     start = time.perf_counter()
     with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
@@ -379,11 +378,11 @@ def run(args, seed, folder, position=0):
                 tables["episodes"] += episodes
                 speed = {"steps_per_second": env_step / seconds}
                 tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
-            if env_step >= next_eval:
+            if env_step >= due[0]:
                 evaluation = evaluate(agent, envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
                 save(args, seed, folder, tables, agent, optimizer)
-                next_eval = min((env_step // pause + 1) * pause, args.total_steps)
+                due = due[due > env_step]
             returns = [row["return"] for row in tables["episodes"][-20:]]
             training = f"{np.mean(returns):.0f}" if returns else "not known yet"
             bar.set_postfix_str(
@@ -441,14 +440,13 @@ def plot(folder, env_id):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
 
-    def parse(text):
+    def numeric(text):  # argparse says "invalid numeric value" if float(text) fails
         value = float(text)
         if low <= value <= high and kind(value) == value:
             return kind(value)
         raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
 
-    parse.__name__ = kind.__name__  # argparse says it if `text` is no number
-    return parse
+    return numeric
 
 
 def check(parser, argv):
@@ -459,8 +457,8 @@ def check(parser, argv):
     try:
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
-            parser.set_defaults(**checkpoint["args"])
-            args = parser.parse_args(argv)  # again: the command line overrides the checkpoint
+            # The command line goes before what the checkpoint says, and this before the defaults.
+            args = parser.parse_args(argv, argparse.Namespace(**checkpoint["args"]))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
         if not all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces):
@@ -483,7 +481,7 @@ def train_seeds(args, folders):
         return run(args, args.seed[0], folders[0])
     context = multiprocessing.get_context("spawn")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
-    pool = ProcessPoolExecutor(os.cpu_count(), context, tqdm.set_lock, (context.RLock(),))
+    pool = ProcessPoolExecutor(None, context, tqdm.set_lock, (context.RLock(),))
     jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     wait(jobs)
