@@ -22,16 +22,16 @@ It learns to balance a double pendulum in a minute: 150,000 steps, return 9,325 
 In a state s (`obs` in the code) the actor, a network, has a Gaussian density π(u|s) and draws u.
 The environment gets the action a = g(u), where g squeezes any number into the range that actions
 have. It answers with a reward r and the next state, and so on until the episode ends.
-The critic V(s), another network, predicts the mean of the return r_t + γ·r_{t+1} + γ²·r_{t+2} + …,
-the discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
+The critic V(s), another network, predicts the mean of G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
+discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
   1. Set the learning rate: it falls evenly to 0.
      Play a rollout: T steps in each of N environments with π, called π_old from now on.
   2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)
-     This is the advantage of u_t: how much better than V predicted it turned out in the long run.
+     This is the advantage of u_t: how much better than V predicted all that followed it turned out.
      R_t = A_t + V(s_t)   target of the critic: what V(s_t) should have been, according to A
-     (terminated is 1 if the episode ended for good, done if it ended at all, else 0: see below.)
+     (terminated_t is 1 if the episode ended for good at t, done_t if it ended at all, else both are 0)
   5. In several epochs, for each minibatch of M shuffled steps, with ρ = π(u|s) / π_old(u|s):
      If π is too far from π_old, that is if KL ≈ mean(ρ − 1 − log ρ) > max_kl, go to 6.
      Standardise A in the minibatch: mean 0, std 1. For all weights together compute the gradient of
@@ -54,16 +54,16 @@ or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (va
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
-(G was held fixed here. But it is r plus γ times the E[G] of the next state, which depends on the
-weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on: the
-gradient of a whole episode is a sum with a term for each step, and that of step t has a factor γ^t.
-The factor is left out here, as usual, so that late steps count like early ones.) So push up the
-probability of each action in proportion to what followed it.
+So push up the probability of each action in proportion to what followed it. (G was held fixed here.
+But it is r plus γ times the E[G] of the next state, which depends on the weights, too. By the
+product rule that adds γ times the ∇E[G] of the next state, and so on. All in all it is the mean of
+Σ_t γ^t·G_t·∇log π(u_t|s_t) over whole episodes. The factor γ^t is left out here, as usual, so that
+late steps count like early ones.)
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·∫∇π du = b·∇∫π du = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. Standardised
-A has nearly the same: its mean joins b, its std scales it, and u has only a small share in both.
+A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. To
+standardise A hardly turns it: the mean acts like b, the std scales it, both depend little on u.
 PPO takes many steps of Adam on the same rollout, which π_old played. So each u is weighted by ρ:
 the mean over u of π_old, E_old[ρ·A] = ∫π_old·(π/π_old)·A du = ∫π·A du, has the gradient ∫∇π·A du,
 as above with A for G. The farther π is from π_old, the more ρ varies, and the more noise this has;
@@ -274,7 +274,7 @@ def scale_rewards(rewards, done, past_return, reward_norm, gamma):
     V predicts a discounted sum of rewards to come. F is such a sum of past rewards: it varies about
     as much and is known at once. The mean of r is not subtracted, else a reward of 1 for each step
     would become 0. `past_return` (N,) is F at the end of the previous rollout, 0 where an episode
-    ended (and before the first rollout). Returns the scaled rewards, and the same for this rollout.
+    ended (and before the first rollout). Returns the scaled rewards, and F at the end of this one.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -601,7 +601,7 @@ def check(parser, argv):
     try:
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
-            # The command line goes before what the checkpoint says, and this before the defaults.
+            # Options given now override those in the checkpoint, which override the defaults.
             args = parser.parse_args(argv, argparse.Namespace(**checkpoint["args"]))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space

@@ -24,7 +24,7 @@ In a state s (`obs` in the code) the policy π(u|s), a probability density, draw
 gets u, clipped to the range of its actions. It answers with a reward r and the next state, and so
 on until the episode ends after T steps.
   1. Set the learning rate, which falls evenly to 0.
-     Play a few episodes with π, the batch:  u_t ~ Normal(μ(s_t), σ(s_t)).
+     Play a batch of a few episodes with π:  u_t ~ Normal(μ(s_t), σ(s_t)).
   2. G_t = r_t + γ·G_{t+1}   the reward-to-go: the discounted rewards that u_t can affect.
      G_T = 0 if the task ended there (the pole fell). If only time ran out, rewards could have
      followed: then G_T = V(s_T) with --baseline value ([3]); without it 0, which is too low if
@@ -48,24 +48,23 @@ Units: a `return` in tables and figures is the plain sum of an episode's raw rew
 Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
 weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
     ∇E[G] = ∇∫π(u|s)·G(u) du = ∫∇π·G du = ∫π·(∇π/π)·G du = E[G·∇log π],  since ∇log π = ∇π/π.
+So push up the probability of each action in proportion to the G_t that followed it, which is G(u)
+on average ([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times −1.
 (G was held fixed here. But it is r plus γ times the E[G] of the next state, which depends on the
-weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on: the
-gradient of a whole episode is a sum with a term for each step, and that of step t has a factor γ^t
-([2] section 13.3). The factor is left out here, as usual, so that late steps count like early
-ones.) So push up the probability of each action in proportion to the G_t that followed it, which is
-G(u) on average ([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times
-−1.
+weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on. All in
+all it is the mean of Σ_t γ^t·G_t·∇log π(u_t|s_t) over whole episodes ([2] section 13.3). The factor
+γ^t is left out here, as usual, so that late steps count like early ones.)
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. With a typical G subtracted, actions that
 were worse than usual are pushed down, and there is less noise. On average this changes nothing: if
 b does not depend on u, E[b·∇log π] = b·∫∇π du = b·∇∫π du = 0, because ∫π du is always 1.
-Some bias remains: γ^t is left out; with `mean`, G_t is a part of the mean and std that it is
-compared with; the loss divides by the number of steps, which depends on the actions, too; and where
-time ran out, G_T is a guess.
+Some bias remains: γ^t is left out; with `mean`, G_t is compared with a mean and std of which the G
+of its own episode are a part; the loss divides by the number of steps, which depends on the
+actions, too; and where time ran out, G_T is a guess.
 
-Left out: V(s) in place of later rewards also in the middle of an episode, so that none has to be
-played to its end, and several environments at a time (a2c_vector.py adds both); several gradient
-steps on the same batch (ppo_continuous.py adds them).
+Left out: to cut episodes off in the middle, with V(s) in place of the later rewards, and to play in
+several environments at a time (a2c_vector.py adds both); several gradient steps on the same batch
+(ppo_continuous.py adds them).
 
 References: [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist
     Reinforcement Learning. [2] Sutton and Barto 2018, Reinforcement Learning, 2nd edition.
@@ -147,7 +146,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps π exploring; ∇_μ log π = (u − μ)/σ² has a std of 1/σ, at most 10.
+        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ² small: its std is 1/σ.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
@@ -183,16 +182,15 @@ def rollout(env, agent, num_episodes, gamma, env_step):
     for _ in range(num_episodes):
         obs, _ = env.reset()
         rewards = []
-        ended = False
-        while not ended:
+        terminated = truncated = False
+        while not (terminated or truncated):
             samples, actions = agent.act(obs[None])
-            batch["obs"].append(obs)
+            batch["obs"].append(np.array(obs))  # a copy: some environments use one array again
             batch["samples"].append(samples[0])
             obs, reward, terminated, truncated, _ = env.step(actions[0])
             env_step += 1
             check_finite(0, env_step, np.array([reward]), obs[None])
             rewards.append(float(reward))
-            ended = terminated or truncated
         last_obs = torch.as_tensor(obs, dtype=torch.float32, device=agent.low.device)
         last_return = 0.0 if terminated else agent.value(last_obs).item()
         batch["returns"].extend(discounted_returns(rewards, last_return, gamma))
@@ -457,7 +455,7 @@ def check(parser, argv):
     try:
         if path is not None:
             checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
-            # The command line goes before what the checkpoint says, and this before the defaults.
+            # Options given now override those in the checkpoint, which override the defaults.
             args = parser.parse_args(argv, argparse.Namespace(**checkpoint["args"]))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
