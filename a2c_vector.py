@@ -30,7 +30,7 @@ discounted sum of the rewards that follow s_t. Both see s normalised, by a runni
   4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)
      This is the advantage of u_t: how much better than V predicted all that followed it turned out.
      R_t = A_t + V(s_t)   target of the critic: what V(s_t) should have been, according to A
-     (terminated_t is 1 if the episode ended for good at t, done_t if it ended at all, else both are 0)
+     (terminated_t is 1 if the episode ended for good at t, done_t if it ended at all; if not, 0)
   5. Standardise A in the rollout: mean 0, std 1. For each network by itself compute the gradient of
          −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
      If it is longer than max_grad_norm, shorten it to that. Take a step of Adam.
