@@ -903,10 +903,11 @@ def race_rows(data):
             goal = last["return"].mean()
             passed = ours[ours["return"] >= goal].groupby("seed")["minutes"].first()
             passed = passed.reindex(last.index, fill_value=math.inf)
+            ratio = last["minutes"].mean() / passed.median()
             rows.append([env_id, learner, ", ".join(f"{x:.0f}" for x in last["return"]),
                          f"{last['minutes'].mean():.1f}", *(["–"] * 2 if learner == "ours" else [
-                             ", ".join(f"{x:.2f}" for x in passed),
-                             f"{last['minutes'].mean() / passed.median():.0f}"])])
+                             ", ".join(f"{x:.2f}" if x < math.inf else "never" for x in passed),
+                             f"{ratio:.0f}" if ratio else "–"])])
     return rows
 
 

@@ -120,6 +120,9 @@ def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end(tmp_path, monk
         assert row.split("|")[3:] == [" 10, 5 ", " 10.0 ", " 1.00, 2.00 ", " 7 ", ""]
         assert len(runs) == 4  # the second call has read what the first one has run
     assert {"race.csv", "race.png"} < {x.name for x in tmp_path.iterdir()}
+    data = pd.read_csv(tmp_path / "race.csv")
+    data.loc[data["learner"] == "ours", "return"] -= 100
+    assert benchmark.race_rows(data)[1][4:] == ["never, never", "–"]
 
 
 # --- Studies of many calls ------------------------------------------------------------------------

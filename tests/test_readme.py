@@ -230,6 +230,16 @@ def test_the_tables_of_the_ablation_are_those_of_the_csv_file():
                 assert numbers(gap) == rounded([x.difference, x.margin], 0)
 
 
+def test_the_table_of_the_race_is_that_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/ppo_race.csv")
+    rows = benchmark.race_rows(data)
+    assert len(rows) == 9
+    for env_id, runs in data.groupby("env_id"):
+        assert sorted(runs["seed"].unique()) == [1, 2, 3], env_id
+    for row in rows:
+        assert f"| {' | '.join(row)} |" in TEXT.replace("−", "-")
+
+
 def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
     data = pd.read_csv(harness.ROOT / "assets/exercises.csv")
     assert list(data) == list(benchmark.EXERCISES)
