@@ -496,7 +496,7 @@ def run(args, seed, folder, position=0):
     """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
     envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
     tables = {"evals": [], "episodes": [], "metrics": []}
-    due = np.linspace(0, args.total_steps, args.num_evals + 1)  # when to evaluate
+    due = np.arange(args.num_evals + 1.0) * args.total_steps / args.num_evals  # when to evaluate
     seconds = 0.0
     start = time.perf_counter()
     if args.resume:

@@ -5,6 +5,7 @@ import ctypes.util
 import io
 import itertools
 import json
+import math
 import os
 import pickle
 import re
@@ -286,6 +287,14 @@ def test_evaluation_does_not_touch_training(script, alone, tmp_path):
     few, many = table(once / "evals.csv"), table(alone / "evals.csv")
     assert len(few) == 2 < len(many)
     pd.testing.assert_frame_equal(few, many.iloc[[0, -1]].reset_index(drop=True), check_exact=True)
+
+
+@pytest.mark.parametrize("script", [A2C, PPO])
+def test_evaluations_come_at_the_first_update_that_reaches_their_step(script, tmp_path):
+    """1000 / 30 is no number that a float can hold: none may come twice or be left out."""
+    sizes = "--num-envs 2 --rollout-steps 5 --eval-episodes 1 --total-steps 1000 --num-evals 30"
+    folder = script.train(tmp_path / "run", *sizes.split())
+    assert steps(folder, "evals") == [math.ceil(100 * k / 30) * 10 for k in range(31)]
 
 
 def test_seeds_side_by_side_equal_seeds_alone(script, folder, alone):
