@@ -53,9 +53,9 @@ weights of π. Take one step alone: s is given, G(u) is the expected return afte
     ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
 So push up the probability of each action in proportion to what followed it. (G was held fixed here.
 But it is r plus γ times the E[G] of the next state, which depends on the weights, too. By the
-product rule that adds γ times the ∇E[G] of the next state, and so on. All in all it is the mean of
-Σ_t γ^t·G_t·∇log π(u_t|s_t) over whole episodes. The factor γ^t is left out here, as usual, so that
-late steps count like early ones.)
+product rule that adds γ times the ∇E[G] of the next state, and so on. All in all ∇E[G_0] is the
+mean of Σ_t γ^t·G_t·∇log π(u_t|s_t) over episodes. The factor γ^t is left out here, as usual, so
+that late steps count like early ones.)
 A number b may be subtracted from G if it does not depend on the action, for
 E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
 than expected it turned out: on average the gradient stays the same, but it has less noise.

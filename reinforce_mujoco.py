@@ -52,7 +52,7 @@ So push up the probability of each action in proportion to the G_t that followed
 on average ([1]): with G_t held constant, −mean(G_t·log π) has this gradient on average, times −1.
 (G was held fixed here. But it is r plus γ times the E[G] of the next state, which depends on the
 weights, too. By the product rule that adds γ times the ∇E[G] of the next state, and so on. All in
-all it is the mean of Σ_t γ^t·G_t·∇log π(u_t|s_t) over whole episodes ([2] section 13.3). The factor
+all ∇E[G_0] is the mean of Σ_t γ^t·G_t·∇log π(u_t|s_t) over episodes ([2] section 13.3). The factor
 γ^t is left out here, as usual, so that late steps count like early ones.)
 If no G is negative, as here, every action that was tried is pushed up, a bad one only less than
 others, and the estimate varies a lot from batch to batch. With a typical G subtracted, actions that
@@ -146,7 +146,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ² small: its std is 1/σ.
+        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ² small: its std is 1/σ ≤ 10.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
