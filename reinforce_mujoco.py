@@ -146,7 +146,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
         features = self.trunk(obs)
-        # The floor under σ keeps π exploring, and ∇_μ log π = (u − μ)/σ² small: its std is 1/σ ≤ 10.
+        # The floor under σ keeps π exploring and ∇_μ log π = (u − μ)/σ² small: its std is 1/σ ≤ 10.
         std = nn.functional.softplus(self.raw_std(features)) + 0.1
         return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
 
