@@ -924,8 +924,11 @@ def race(args):
     print_table(["environment", "learner", "final return, every seed", "minutes",
                  "minutes until ours has its mean", "ratio of the median"], race_rows(data))
     grid = sns.relplot(data, x="minutes", y="return", hue="learner", col="env_id", units="seed",
-                       estimator=None, kind="line", height=3.2, facet_kws={"sharey": False})
+                       estimator=None, kind="line", height=3.2, facet_kws={"sharey": False},
+                       aspect=1 if len(env_ids) > 1 else 2)
     grid.set_titles("{col_name}").set_axis_labels("minutes of training", "evaluation return (raw)")
+    if args.script == A2C:
+        grid.set(ylim=(-600, 300))  # landers that have learned nothing yet may go lower
     grid.savefig(args.out_dir / "race.png", dpi=100)
     print_machine(json.dumps(installed()))
 

@@ -230,14 +230,25 @@ def test_the_tables_of_the_ablation_are_those_of_the_csv_file():
                 assert numbers(gap) == rounded([x.difference, x.margin], 0)
 
 
-def test_the_table_of_the_race_is_that_of_the_csv_file():
-    data = pd.read_csv(harness.ROOT / "assets/ppo_race.csv")
-    rows = benchmark.race_rows(data)
-    assert len(rows) == 9
-    for env_id, runs in data.groupby("env_id"):
-        assert sorted(runs["seed"].unique()) == [1, 2, 3], env_id
-    for row in rows:
-        assert f"| {' | '.join(row)} |" in TEXT.replace("−", "-")
+def test_the_tables_of_the_races_are_those_of_the_csv_files():
+    files = {"ppo_race": None, "a2c_race": "1,000,000 steps", "a2c_race_200k": "200,000 steps"}
+    for name, label in files.items():
+        data = pd.read_csv(harness.ROOT / f"assets/{name}.csv")
+        for _, runs in data.groupby(["env_id", "learner"]):
+            assert sorted(runs["seed"].unique()) == [1, 2, 3]
+        rows = benchmark.race_rows(data)
+        assert len(rows) == (2 if label else 9)
+        for env_id, *cells in rows:
+            row = " | ".join([label or env_id, *cells])
+            assert f"| {row} |" in TEXT.replace("−", "-")
+
+
+def test_the_table_of_scaling_is_that_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/scaling.csv")
+    for (measure, kind), speeds in data.groupby(["measure", "vectorization"]):
+        end = "one process" if kind == "sync" else "a process each, `--vectorization async`"
+        cells = " | ".join(f"{x:.0f}" for x in speeds["speed"])
+        assert f"| {measure} | {end} | {cells} |" in TEXT
 
 
 def test_the_answers_to_the_exercises_are_those_of_the_csv_file():
