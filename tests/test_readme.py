@@ -179,13 +179,16 @@ def test_the_table_of_ppo_is_that_of_the_csv_file():
 
 
 def test_tables_of_a2c_and_reinforce_are_those_of_the_csv_files():
-    data = pd.read_csv(harness.ROOT / "assets/a2c_returns.csv").sort_values("seed")
-    assert data["seed"].tolist() == list(range(1, 11))
-    (row,) = re.findall(r"^\| 1,000,448 \|.*$", TEXT, re.MULTILINE)
-    _, _, spread, every, _ = row.split("|")
-    returns = data["eval_return_mean"]
-    assert numbers(every) == rounded(returns, 1)
-    assert numbers(spread) == rounded([returns.mean(), returns.std()], 1)
+    data = pd.read_csv(harness.ROOT / "assets/a2c_returns.csv")
+    data = data[data["flags"].isna()].sort_values("seed")
+    for steps in 1_000_448, 3_000_320:
+        runs = data[data["env_steps"].eq(steps)]
+        assert runs["seed"].tolist() == list(range(1, 11))
+        (row,) = re.findall(rf"^\| {steps:,} \|[^|]*\|[^|]*\|$", TEXT, re.MULTILINE)
+        _, _, spread, every, _ = row.split("|")
+        returns = runs["eval_return_mean"]
+        assert numbers(every) == rounded(returns, 1)
+        assert numbers(spread) == rounded([returns.mean(), returns.std()], 1)
     data = pd.read_csv(harness.ROOT / "assets/baselines.csv")
     noise = pd.read_csv(harness.ROOT / "assets/variance.csv").set_index("baseline")["relative"]
     for name, runs in data.groupby("flags"):
@@ -197,18 +200,20 @@ def test_tables_of_a2c_and_reinforce_are_those_of_the_csv_files():
         assert numbers(training) == rounded(runs["last_100_returns"], 0)
 
 
-def test_the_table_of_robustness_is_that_of_the_csv_file():
-    data = pd.read_csv(harness.ROOT / "assets/robustness.csv")
+@pytest.mark.parametrize(
+    ("name", "steps"), [("robustness", 3_000_320), ("robustness_1m", 1_000_448)])
+def test_the_table_of_robustness_is_that_of_the_csv_files(name, steps):
+    data = pd.read_csv(harness.ROOT / f"assets/{name}.csv")
     usual = data["gravity"].eq(-10) & data["wind_power"].eq(0)
     edge = data["gravity"].isin((-2, -11.9)) | data["wind_power"].isin((0, 20))
-    for cell, worlds in ((2, usual | True), (3, edge), (4, usual)):
+    for cell, worlds in ((3, usual | True), (4, edge), (5, usual)):
         agents = data[worlds].groupby(["trained", "seed"])["return_mean"].mean()
         for trained in "default", "--randomize":
-            (row,) = re.findall(rf"^\| `?{trained}`? \|.*$", TEXT, re.MULTILINE)
+            (row,) = re.findall(rf"^\| {steps:,} \| `?{trained}`? \|.*$", TEXT, re.MULTILINE)
             x = agents[trained]
             assert len(x) == 10
             assert numbers(row.split("|")[cell]) == rounded([x.mean(), x.std()], 1)
-        (row,) = re.findall(r"^\| difference, 95% interval \|.*$", TEXT, re.MULTILINE)
+        (row,) = re.findall(rf"^\| {steps:,} \| difference, 95%.*$", TEXT, re.MULTILINE)
         gap, _, margin = benchmark.difference(agents["--randomize"], agents["default"])
         assert numbers(row.split("|")[cell]) == rounded([gap, margin], 1)
 
