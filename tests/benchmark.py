@@ -115,7 +115,8 @@ def sb3_speed(script, flags, seed):
 
     torch.set_num_threads(1)  # as ours
     args, is_ppo = SCRIPTS[script].parse_args(flags), script == PPO
-    envs = env_util.make_vec_env(args.env_id, 8, seed)  # steps them in turn
+    envs = env_util.make_vec_env(  # steps them in turn; by default LunarLander would draw sparks
+        args.env_id, 8, seed, env_kwargs={"render_mode": None})
     envs = vec_env.VecNormalize(envs) if is_ppo else envs
     model = (sb3.PPO if is_ppo else sb3.A2C)("MlpPolicy", envs, seed=seed, device="cpu")
     start = time.perf_counter()
@@ -852,7 +853,7 @@ def sb3_race(script, env_id, steps, seed, num_envs):
     from stable_baselines3.common import env_util, vec_env
 
     torch.set_num_threads(1)  # as ours
-    envs = env_util.make_vec_env(env_id, num_envs, seed)
+    envs = env_util.make_vec_env(env_id, num_envs, seed, env_kwargs={"render_mode": None})
     if script == PPO:
         envs = vec_env.VecNormalize(envs)
         model = sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu")
