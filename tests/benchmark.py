@@ -923,7 +923,7 @@ def race(args):
         data = pd.concat([job.result() for job in jobs], ignore_index=True)
     data.to_csv(args.out_dir / "race.csv", index=False)
     print_table(["environment", "learner", "final return, every seed", "minutes",
-                 "minutes until ours has its mean", "ratio of the median"], race_rows(data))
+                 "minutes until ours reaches the mean of these returns", "ratio"], race_rows(data))
     grid = sns.relplot(data, x="minutes", y="return", hue="learner", col="env_id", units="seed",
                        estimator=None, kind="line", height=3.2, facet_kws={"sharey": False},
                        aspect=1 if len(env_ids) > 1 else 2)

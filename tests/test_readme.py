@@ -220,6 +220,20 @@ def test_the_table_of_robustness_is_that_of_the_csv_files(name, steps):
         assert numbers(row.split("|")[cell]) == rounded([gap, margin], 1)
 
 
+def test_the_words_about_robustness_are_those_of_the_csv_file():
+    data = pd.read_csv(harness.ROOT / "assets/robustness.csv")
+    x = data.groupby(["trained", "seed"])["return_mean"].mean()
+    gap, error, margin = benchmark.difference(x["--randomize"], x["default"])
+    text = " ".join(TEXT.split())
+    assert f"{gap:.0f} points more over 30 worlds" in text
+    assert f"(95% interval {gap - margin:.0f} to {gap + margin:.0f})" in text
+    assert f"over all worlds is {gap / error:.1f} standard errors" in text
+    worlds = data.pivot_table(index="gravity", columns="trained", values="return_mean")
+    gaps = worlds["--randomize"] - worlds["default"]
+    found = re.search(r"from −2 to −11.9, over all winds, it is (.*?)\. ", text)[1]
+    assert numbers(found) == rounded(gaps.sort_index(ascending=False), 0)
+
+
 def test_the_tables_of_the_ablation_are_those_of_the_csv_file():
     data = pd.read_csv(harness.ROOT / "assets/ablation.csv")
     assert list(data["variant"].unique()) == list(benchmark.ABLATIONS)
