@@ -24,7 +24,7 @@ The environment gets the action a = g(u), where g squeezes any number into the r
 have. It answers with a reward r and the next state, and so on until the episode ends.
 The critic V(s), another network, predicts the mean of G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
 discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set the learning rate: it falls evenly to 0.
+  1. Set both learning rates: they fall evenly to 0.
      Play a rollout: T steps in each of N environments with π, called π_old from now on.
   2. Divide r by the running std of F_t = r_t + γ·(1 − done_{t−1})·F_{t−1}; so V has moderate size.
   3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
@@ -134,7 +134,7 @@ def parse_args(argv=None):
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are shrunk")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log σ before training")
-    add("--std-speed", type=number(float, 0.01), default=0.3, help="pace of log σ; weights have 1")
+    add("--std-learning-rate", type=number(float, 0), default=3e-4, help="that of log σ")
     add = parser.add_argument_group("evaluation").add_argument
     add("--num-evals", type=number(int, 1, 1e6), default=20, help="evaluations, one more at start")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
@@ -190,9 +190,7 @@ def mlp(inputs, hidden, outputs, activation, output_gain):
 class Agent(nn.Module):
     """The actor π(u|s) = Normal(μ(s), σ), the critic V(s), what normalises states and rewards.
 
-    σ (K,) is the same in every state. Its parameter is log σ / std_speed. Adam moves a parameter by
-    about the learning rate, so log σ by std_speed times that: below 1, σ shrinks more slowly,
-    and better actions far from μ are still found.
+    σ (K,) is the same in every state. Its logarithm is a parameter with a learning rate of its own.
     """
 
     def __init__(self, observation_space, action_space, args):
@@ -202,14 +200,13 @@ class Agent(nn.Module):
         self.actor = mlp(inputs, args.hidden_size, outputs, nn.Tanh, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, nn.Tanh, output_gain=1.0)
         self.reward_norm = RunningNorm(())
-        self.std_speed = args.std_speed
-        self.raw_log_std = nn.Parameter(torch.full((outputs,), args.log_std / args.std_speed))
+        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))
         self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
         self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
 
     def policy(self, obs):
         """Observations (…, D) -> the distribution of u (…, K), whose dimensions are independent."""
-        mean, std = self.actor(self.norm(obs)), (self.std_speed * self.raw_log_std).exp()
+        mean, std = self.actor(self.norm(obs)), self.log_std.exp()
         return torch.distributions.Normal(mean, std, validate_args=False)  # faster
 
     def value(self, obs):
@@ -380,7 +377,9 @@ def train(args, seed):
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
     # gradients move a weight as far as large ones do; with 1e-5 they do not.
-    optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
+    networks = [*agent.actor.parameters(), *agent.critic.parameters()]
+    optimizer = torch.optim.Adam(
+        [{"params": networks}, {"params": agent.log_std}], eps=1e-5, fused=True)
     env_step = resume(args.resume, agent, optimizer) if args.resume else 0
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return = 0.0
@@ -388,6 +387,7 @@ def train(args, seed):
     while env_step < args.total_steps:
         share = 1 - env_step / args.total_steps
         optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 1
+        optimizer.param_groups[1]["lr"] = args.std_learning_rate * share
         batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
         batch["rewards"], past_return = scale_rewards(
             batch["rewards"], batch["done"], past_return, agent.reward_norm, args.gamma)  # step 2

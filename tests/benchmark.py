@@ -663,7 +663,7 @@ ABLATIONS = {
     "weights not orthogonal": {
         "nn.init.orthogonal_(layer.weight, gain)":
             "nn.init.normal_(layer.weight, std=gain / math.sqrt(layer.in_features))"},
-    "σ learns as fast as μ": ["--std-speed", "1"],
+    "σ learns as fast as μ": ["--std-learning-rate", "1e-3"],
     "σ = 1 at first": ["--log-std", "0"],
     "actions clipped, no tanh": {"torch.tanh(samples)": "samples.clamp(-1, 1)"},
     "time limits treated as deaths": {'"terminated": terminated': '"terminated": done'},
@@ -792,7 +792,7 @@ EXERCISES = {
     "time limits are deaths": (PPO, {'"terminated": terminated': '"terminated": done'}),
     "states not normalised": (PPO, {'agent.norm.update(batch["obs"].flatten(0, 1))': "pass"}),
     "σ stays as it is": (PPO, {
-        "args.log_std / args.std_speed))": "args.log_std / args.std_speed), requires_grad=False)"}),
+        "args.log_std))": "args.log_std), requires_grad=False)"}),
     "another reward": (PPO, {
         "        done = terminated | truncated\n":
             "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n"}),

@@ -191,14 +191,9 @@ def test_the_policy_that_acts_and_the_one_that_learns_have_the_same_density():
     assert abs(noise.std() - 1) < 0.2
 
 
-@pytest.mark.parametrize("std_speed", [0.3, 2.0])
-def test_log_std_starts_as_asked_and_moves_std_speed_times_as_far_as_its_parameter(std_speed):
-    agent = make_agent(f"--log-std 0.4 --std-speed {std_speed}")
-    for moved in 0.0, 0.1, 0.1:
-        agent.raw_log_std.data += moved
-        expected = agent.raw_log_std.data * std_speed
-        torch.testing.assert_close(agent.policy(torch.zeros(2)).stddev.log().data, expected)
-    torch.testing.assert_close(expected, torch.full((2,), 0.4 + 0.2 * std_speed))
+def test_log_std_starts_as_asked():
+    stddev = make_agent("--log-std 0.4").policy(torch.zeros(2)).stddev
+    torch.testing.assert_close(stddev.log().data, torch.full((2,), 0.4))
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
@@ -228,7 +223,7 @@ def test_policy_loss_starts_as_the_policy_gradient():
     _, agent, batch, _ = play()
     log_probs = log_prob(agent, batch["obs"], batch["samples"]).flatten()
     advantages = torch.randn(len(log_probs))
-    parameters = [*agent.actor.parameters(), agent.raw_log_std]
+    parameters = [*agent.actor.parameters(), agent.log_std]
     ratio = (log_probs - log_probs.detach()).exp()
     loss = ppo.policy_loss(ratio, advantages, 0.2)
     ours = torch.autograd.grad(loss, parameters, retain_graph=True)
@@ -245,9 +240,9 @@ def test_each_loss_reaches_its_own_network_only():
     _, agent, batch, _ = play()
     log_probs = log_prob(agent, batch["obs"], batch["samples"])
     losses = {
-        "actor raw_log_std": ppo.policy_loss(log_probs.exp(), batch["rewards"], 0.2),
+        "actor log_std": ppo.policy_loss(log_probs.exp(), batch["rewards"], 0.2),
         "critic": ppo.value_loss(agent.value(batch["obs"]), batch["rewards"]),
-        "raw_log_std": agent.policy(batch["obs"]).entropy().sum(-1).mean(),
+        "log_std": agent.policy(batch["obs"]).entropy().sum(-1).mean(),
     }
     for names, loss in losses.items():
         agent.zero_grad(set_to_none=True)
@@ -306,7 +301,7 @@ def gradients_by_hand(agent, old, batch, rows, args):
         targets, A = (A + values).flatten()[rows], A.flatten()[rows]
         A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
     pi, pi_old = (
-        Normal(x.actor(x.norm(obs)), (args.std_speed * x.raw_log_std).exp()) for x in (agent, old))
+        Normal(x.actor(x.norm(obs)), x.log_std.exp()) for x in (agent, old))
     ratio = (pi.log_prob(samples) - pi_old.log_prob(samples).detach()).sum(-1).exp()
     low, high = 1 - args.clip_eps, 1 + args.clip_eps
     loss = -args.entropy_coef * pi.entropy().sum(-1).mean()
@@ -328,7 +323,7 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     size = math.ceil(100 / minibatches)
     options = f"--minibatch-size {size} --epochs 2 --max-grad-norm 1e9 --gamma 0.9"
     options += " --gae-lambda 0.7 --entropy-coef 0.2 --clip-eps 0.1"
-    args, agent, batch, _ = play(world, f"{options} --std-speed 0.6")
+    args, agent, batch, _ = play(world, options)
     batch = {name: x.double() for name, x in batch.items()}
     batch["rewards"] = torch.randn_like(batch["rewards"])
     old = copy.deepcopy(agent.double())
@@ -682,15 +677,19 @@ def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypa
         np.testing.assert_allclose(batch["rewards"], 1 / np.std(F), rtol=1e-5)
 
 
-def test_the_learning_rate_falls_in_a_straight_line_for_all_parameters(monkeypatch):
+def test_both_learning_rates_fall_in_a_straight_line(monkeypatch):
     def look(agent, optimizer, *_):
-        (group,) = optimizer.param_groups
-        assert {id(p) for p in group["params"]} == {id(p) for p in agent.parameters()}
-        return group["lr"]
+        networks, log_std = optimizer.param_groups
+        assert log_std["params"] == [agent.log_std]
+        others = {id(p) for p in agent.parameters()} - {id(agent.log_std)}
+        assert {id(p) for p in networks["params"]} == others
+        return networks["lr"], log_std["lr"]
 
     rates = spy(monkeypatch, "optimise", look)
-    train(options="--learning-rate 7e-3 --total-steps 350")  # 3.5 rollouts
-    assert rates == pytest.approx([7e-3, 5e-3, 3e-3, 1e-3])
+    options = "--learning-rate 7e-3 --std-learning-rate 3.5e-4 --total-steps 350"  # 3.5 rollouts
+    train(options=options)
+    expected = [(7e-3, 3.5e-4), (5e-3, 2.5e-4), (3e-3, 1.5e-4), (1e-3, 0.5e-4)]
+    np.testing.assert_allclose(rates, expected)
 
 
 def evaluation_by_hand(agent, env, seed):

@@ -639,7 +639,7 @@ WRONG_ONLY = {
         ("--max-kl -0.1", "got -0.1"),
         ("--log-std 2.1", "got 2.1"),
         ("--log-std -10.1", "got -10.1"),
-        ("--std-speed 0", "got 0"),
+        ("--std-learning-rate -1", "got -1"),
     ],
 }
 
