@@ -1,148 +1,106 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
-# dependencies = [
-#     "torch>=2.6,<2.14",
-#     "gymnasium[box2d]>=1.4,<1.5",
-#     "numpy>=1.26",
-#     "pandas>=2.2",
-#     "seaborn>=0.13.2",
-#     "matplotlib>=3.8",
-#     "pillow>=10",
-#     "tqdm>=4.66",
-# ]
+# dependencies = ["torch>=2.6,<2.14", "gymnasium[box2d]>=1.4,<1.5",
+#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "pillow>=10",
+#     "tqdm>=4.66"]
 # ///
-"""A2C: synchronous advantage actor-critic on vectorised environments, in one file.
+"""A2C: synchronous advantage actor-critic for discrete actions, in one file.
 
-It learns to land on the moon in two minutes: 1,000,000 steps, return 247 to 269 in 9 seeds of 10.
-`--help` lists all options; each run leaves a folder in `runs`.
+    python a2c_vector.py --seed 1 2 3
 
-    python a2c_vector.py --seed 1 2 3 4 5 6 7 8 9 10
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
+seeds of ten earn a return of 247 to 269; 200 counts as solved.
 
-In a state s (`obs` in the code) the actor, a network, gives each of K actions u a probability
-π(u|s) and draws one. The environment answers with a reward r and the next state, and so on until
-the episode ends.
-The critic V(s), another network, predicts the mean of G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …, the
-discounted sum of the rewards that follow s_t. Both see s normalised, by a running mean and std.
-  1. Set both learning rates: they fall evenly to 0.
-     Play a rollout: T steps in each of N environments with π.
-  2. Multiply r by a constant, so that V has moderate size.
-  3. δ_t = r_t + γ·(1 − terminated_t)·V(s_{t+1}) − V(s_t)     how much better than V predicted
-  4. A_t = δ_t + γλ·(1 − done_t)·A_{t+1}, from the last step back (A is 0 after it)
-     This is the advantage of u_t: how much better than V predicted all that followed it turned out.
-     R_t = A_t + V(s_t)   target of the critic: what V(s_t) should have been, according to A
-     (terminated_t is 1 if the episode ended for good at t, done_t if it ended at all; if not, 0)
-  5. Standardise A in the rollout: mean 0, std 1. For each network by itself compute the gradient of
-         −mean(A·log π(u|s)) + ½·mean((V(s) − R)²) − c_H·mean(H).
-     If it is longer than max_grad_norm, shorten it to that. Take a step of Adam.
-  6. Update the mean and std that normalise s. Go to 1, until enough steps were played.
-Symbols: γ discount; H = −E[log π] entropy, large if π is undecided; its weight c_H keeps π from
-    settling on one action too early.
-Shapes: T steps of N environments; B rows of a batch; D numbers in s; K actions.
-Units: a `return` in tables and figures is the plain sum of an episode's raw rewards. `seconds` are
-    those of training, without evaluations.
+At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
+a neural network, the actor. The environment answers with a reward r and the next state, until the
+episode ends. The agent is to earn a large discounted return, r_t + γ·r_{t+1} + γ²·r_{t+2} + …
+A second network, the critic, learns the state value V(s): the return to expect from s on. The
+action value Q(s,a) is the return to expect if a is taken first, and the advantage
+A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average. Actions with
+A > 0 are made more likely and actions with A < 0 less likely, over and over again:
 
-terminated: the episode ended for good (a fall, a landing), so no reward can follow. truncated: only
-time ran out. Rewards could have followed; V(s_{t+1}) stands for them. done: either of the two.
-Written out, A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + … A larger λ trusts V less. With λ = 0 it is
-δ_t: one reward, the rest is V. It varies little, but errors of V make it wrong (bias). With λ = 1
-the V in between cancel out: A_t is the discounted sum of the rewards that came (and V where rollout
-or time limit cut them off) minus V(s_t). It has less bias, but varies a lot (variance).
+  1. Anneal the learning rates: they fall linearly to 0.
+  2. Collect a rollout: T steps in each of N environments.
+  3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
+  4. Estimate the advantage A of every action (GAE) and the critic's target R = A + V(s).
+  5. Standardise A over the rollout, and take a step of Adam on
+         −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
+  6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-Why it works. The aim is a large expected return E[G]. Let ∇ be the gradient with respect to the
-weights of π. Take one step alone: s is given, G(u) is the expected return after u, E a mean over u.
-    ∇E[G] = ∇Σ_u π(u|s)·G = Σ_u ∇π·G = Σ_u π·(∇π/π)·G = E[G·∇log π],  since ∇log π = ∇π/π.
-So push up the probability of each action in proportion to what followed it. (G was held fixed here.
-But it is r plus γ times the E[G] of the next state, which depends on the weights, too. By the
-product rule that adds γ times the ∇E[G] of the next state, and so on. All in all ∇E[G_0] is the
-mean of Σ_t γ^t·G_t·∇log π(u_t|s_t) over episodes. The factor γ^t is left out here, as usual, so
-that late steps count like early ones.)
-A number b may be subtracted from G if it does not depend on the action, for
-E[b·∇log π] = b·Σ_u ∇π = b·∇Σ_u π = b·∇1 = 0. With b = V(s), an action counts by how much better
-than expected it turned out: on average the gradient stays the same, but it has less noise.
-A estimates G − V(s). With A held constant, −mean(A·log π) has this gradient, times −1. To
-standardise A hardly turns it: the mean acts like b, the std scales it, both depend little on u.
-All this holds for actions of the present π. So after each step of Adam a new rollout is needed.
+New since reinforce_mujoco.py, and the idea of A2C: bootstrapping. The critic stands for the rewards
+that are still to come, so the agent learns before an episode ends, and from many environments that
+are at different points of their episodes [1]. GAE [2] says how far to trust the critic. The other
+news only help in practice: observation normalisation and clipping, reward scaling, standardised
+advantages, an entropy bonus, gradient clipping, orthogonal initialisation with a small last layer,
+Adam's eps. In A3C [1] the environments do not wait for each other; A2C is its synchronous form.
 
-= REINFORCE (reinforce_mujoco.py) plus: a critic that stands for rewards still to come, so that no
-episode has to be played to its end; many environments, which soon are at different points of their
-episodes, so that a short rollout is varied; one call of the actor serves all. Left out: workers
-that do not wait for each other (A3C, [1]); shared layers; images; continuous actions.
-
-References: [1] Mnih et al. 2016, Asynchronous Methods for Deep RL. [2] Schulman et al.
-    2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation. [3] Pardo et
-    al. 2018, Time Limits in Reinforcement Learning. [4] Tobin et al. 2017, Domain Randomization…
-    [5] Chan et al. 1979, Updating Formulae and a Pairwise Algorithm for Computing Sample Variances.
+Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
+    c entropy_coef.
+Shapes: T rollout_steps, N num_envs, B = T·N, D numbers in an observation, K actions.
+An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
+`done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
+[1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
+[2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage Estim.
+[3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
+[4] Tobin et al. 2017, Domain Randomization for Transferring Deep Neural Networks from Simulation.
 """
 
 import argparse
 import json
-import math
-import multiprocessing
 import os
-import signal
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, wait
-from importlib.metadata import distributions
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium as gym
-import matplotlib
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
+from matplotlib.figure import Figure
 from PIL import Image
 from torch import nn
 from tqdm import tqdm
 
-# --- Arguments ------------------------------------------------------------------------------------
-
-
-def parse_args(argv=None):
-    """All options, with defaults and symbols."""
-    parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    devices = ("cpu", "cuda", "mps") if torch.accelerator.is_available() else ("cpu",)
-    add = parser.add_argument_group("run").add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train side by side")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
-    add("--device", choices=devices, default="cpu", help="what computes the networks")
-    add("--out-dir", default="runs", help="where the folder of this run is made")
-    add("--resume", metavar="CHECKPOINT", help="go on with the run that saved this checkpoint")
-    add("--watch", metavar="CHECKPOINT", help="evaluate this checkpoint and make a GIF of it")
-    add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="LunarLander-v3",
-        help="a Gymnasium id, also my_module:MyEnv-v0; episodes end after 10,000 steps at most")
-    add("--num-envs", type=number(int, 1), default=8, help="environments stepped together, N")
-    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
-    add("--randomize", action="store_true", help="LunarLander: train with changing physics")
-    add = parser.add_argument_group("algorithm").add_argument
-    add("--rollout-steps", type=number(int, 1), default=64, help="steps of each environment, T")
-    add("--reward-scale", type=number(float, 0), default=0.1, help="rewards are multiplied by it")
-    add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor; it falls to 0")
-    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="that of the critic")
-    add("--gamma", type=number(float, 0, 1), default=0.999, help="discount of later rewards, γ")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="λ: 0 trusts V, 1 the rewards")
-    add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy, c_H")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer gradients are shrunk")
-    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add = parser.add_argument_group("evaluation").add_argument
-    add("--num-evals", type=number(int, 1, 1e6), default=20, help="evaluations, one more at start")
-    add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
-    return check(parser, argv)
-
-
 # --- Agent ----------------------------------------------------------------------------------------
 
 
-class RunningNorm(nn.Module):
-    """(x − mean) / √var, within ±10, with mean and variance of all rows that `update` was given.
+class Agent(nn.Module):
+    """The actor π(a|s), the critic V(s), and the running statistics they need."""
 
-    They are buffers: they are saved with the weights, and nothing but `update` changes them. At
-    first they are 0 and 1: in the first rollout the states are only held within ±10.
-    """
+    def __init__(self, observation_space, action_space, args):
+        super().__init__()
+        inputs, outputs = observation_space.shape[0], int(action_space.n)
+        self.obs_stats = RunningStatistics(inputs)
+        self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # nearly uniform π
+        self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
+        self.register_buffer("low", torch.as_tensor(action_space.start))
+
+    def policy(self, obs):
+        """Observations (…, D) -> π(·|s), a distribution of actions (…,)."""
+        logits = self.actor(self.obs_stats.normalise(obs))
+        return torch.distributions.Categorical(logits=logits, validate_args=False)  # faster
+
+    def value(self, obs):
+        """Observations (…, D) -> V(s) (…,), the expected return in scaled rewards (step 3)."""
+        return self.critic(self.obs_stats.normalise(obs)).squeeze(-1)
+
+    @torch.no_grad()
+    def act(self, obs, deterministic=False):
+        """Observations (N, D) -> actions (N,), drawn from π or its likeliest, counted from 0; and
+        what the environment gets: the same, counted from its lowest action. All are NumPy arrays.
+        """
+        policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        actions = policy.mode if deterministic else policy.sample()
+        env_actions = actions + self.low
+        return actions.cpu().numpy(), env_actions.cpu().numpy()
+
+
+class RunningStatistics(nn.Module):
+    """Mean and variance, dimension by dimension, of all rows that `update` has seen."""
 
     def __init__(self, shape):
         super().__init__()
@@ -150,475 +108,421 @@ class RunningNorm(nn.Module):
         self.register_buffer("var", torch.ones(shape))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
-    def forward(self, x):
+    def normalise(self, x):
+        """Mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Pool `rows` (B, …) with all earlier ones ([5]). With the share w of the new ones:
+        """Pool the statistics of new `rows` (B, …), a fraction w of all rows, with the old ones:
 
-        var ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
         """
         self.count += len(rows)
         weight = len(rows) / self.count
-        gap = (1 - weight) * (rows.mean(0) - self.mean) ** 2  # `lerp_` multiplies it by w
-        # Of a dimension that never moved the variance is 0; nothing may be divided by that.
-        self.var.lerp_(rows.var(0, correction=0) + gap, weight).clamp_(min=1e-8)
+        between = (1 - weight) * (rows.mean(0) - self.mean) ** 2
+        # A dimension that has never changed has variance 0; the floor avoids dividing by it.
+        self.var.lerp_(rows.var(0, correction=0) + between, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
 
-def mlp(inputs, hidden, outputs, activation, output_gain):
-    """Two hidden layers and a linear one, with orthogonal weights and biases of 0 at first.
-
-    A gain of √2 is what ReLU needs to keep the size of a signal, and usual for tanh as well. With
-    an output gain of 0.01 π starts nearly the same in all states.
-    """
+def mlp(inputs, hidden, outputs, output_gain):
+    """Two hidden layers of ReLU units and a linear one; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (math.sqrt(2), math.sqrt(2), output_gain)):
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], activation(), layers[1], activation(), layers[2])
+    return nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
 
 
-class Agent(nn.Module):
-    """The actor π(u|s), the critic V(s), what normalises states."""
-
-    def __init__(self, observation_space, action_space, args):
-        super().__init__()
-        inputs, outputs = observation_space.shape[0], int(action_space.n)
-        self.norm = RunningNorm(observation_space.shape)
-        self.actor = mlp(inputs, args.hidden_size, outputs, nn.ReLU, output_gain=0.01)
-        self.critic = mlp(inputs, args.hidden_size, 1, nn.ReLU, output_gain=1.0)
-        self.first_action = int(action_space.start)
-
-    def policy(self, obs):
-        """Observations (…, D) -> the distribution of an action (…), counted from 0."""
-        return torch.distributions.Categorical(
-            logits=self.actor(self.norm(obs)), validate_args=False)  # faster
-
-    def value(self, obs):
-        """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
-        return self.critic(self.norm(obs)).squeeze(-1)
-
-    @torch.inference_mode()
-    def act(self, obs, deterministic=False):
-        """NumPy (N, D) -> NumPy: samples of π (N,), or its likeliest action, and actions (N,).
-
-        Samples count from 0, actions as the environment counts them.
-        """
-        obs = torch.as_tensor(obs, dtype=torch.float32, device=self.norm.mean.device)
-        policy = self.policy(obs)
-        samples = policy.mode if deterministic else policy.sample()
-        actions = samples + self.first_action
-        return samples.cpu().numpy(), actions.cpu().numpy()
+# --- The steps ------------------------------------------------------------------------------------
 
 
-# --- Rollout --------------------------------------------------------------------------------------
+def rollout(envs, agent, obs, args, env_step):
+    """Step 2: T steps in each environment, starting from the observations `obs` (N, D).
 
+    Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
+    a row for each episode that ended. `env_step` counts the steps taken before, to date the rows.
 
-def rollout(envs, agent, obs, num_steps, env_step):
-    """Step 1: `num_steps` steps in each environment, from observations `obs` (N, D) on.
-
-    Returns the transitions, a dict of tensors (T, N, …); the observations to go on from; and a row
-    for each episode that ended. `env_step`: the steps of all environments before this rollout.
-
-    An environment whose episode ends starts the next one within the same step. Then new_obs[i] is
-    the first observation of the next episode, from which π plays on; next_obs[i], for V, is the
-    last one of this episode, found in infos.
+    At the end of an episode `next_obs` is its last observation. The environments must not restart
+    by themselves: they are reset here, and only then show the first observation of the next one.
     """
     steps, episodes = [], []
-    for _ in range(num_steps):
-        samples, actions = agent.act(obs)
-        new_obs, rewards, terminated, truncated, infos = envs.step(actions)
-        env_step += len(obs)
+    for _ in range(args.rollout_steps):
+        actions, env_actions = agent.act(obs)
+        next_obs, rewards, terminated, truncated, infos = envs.step(env_actions)
         done = terminated | truncated
-        next_obs = new_obs.copy()
-        for i in np.flatnonzero(done):
-            next_obs[i] = infos["final_obs"][i]
-            ended = infos["final_info"]["episode"]
-            episodes.append({"env_step": env_step, "return": float(ended["r"][i]),
-                             "length": int(ended["l"][i])})
-        check_finite(0, env_step // len(obs), rewards, next_obs, new_obs)
-        steps.append({"obs": obs, "samples": samples, "rewards": rewards, "next_obs": next_obs,
+        steps.append({"obs": obs, "actions": actions, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
-        obs = new_obs
-    batch = {name: np.array([step[name] for step in steps]) for name in steps[0]}
-    for name, column in batch.items():
-        batch[name] = torch.as_tensor(column, dtype=torch.float32, device=agent.norm.mean.device)
+        env_step += len(obs)
+        for i in np.flatnonzero(done):
+            episodes.append({"env_step": env_step, "return": float(infos["episode"]["r"][i]),
+                             "length": int(infos["episode"]["l"][i])})
+        obs = envs.reset(options={"reset_mask": done})[0] if done.any() else next_obs
+    columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
+    batch = SimpleNamespace(**{name: torch.as_tensor(x, dtype=torch.float32, device=args.device)
+                               for name, x in columns.items()})
     return batch, obs, episodes
 
 
-# --- Returns and advantages -----------------------------------------------------------------------
-
-
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
-    """Steps 3 and 4: generalised advantage estimates A ([2] eq. 11, 16); all (T, N).
+    """Step 4: generalised advantage estimation; all (T, N) ([2] eq. 11 and 16).
 
-    A terminal state is worth nothing, whatever the critic says. At a time limit V(s_{t+1}) stands
-    for the rewards that were cut off ([3] eq. 6). Either way A_{t+1} is of another episode: it is
-    left out. After the last step of the rollout V(s_{t+1}) stands for all that follows.
+        δ_t = r_t + γ·V(s_{t+1}) − V(s_t)               how much better one step was than expected
+        A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
+            = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
+
+    λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
+    stands for all others: the estimate varies little, but inherits the critic's errors (bias).
+    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains every
+    reward of the rollout: less bias, but also the luck of every later action (variance).
+
+    The sum stops where the data stop. At a terminal state no reward can follow, so V(s_{t+1})
+    counts as 0. At a time limit V(s_{t+1}) stands for the rewards that could have followed [3].
+    In both cases A_{t+1} belongs to the next episode and is left out. At the end of the rollout
+    V(s_{t+1}) stands for the rest of the episode.
     """
-    deltas = rewards + gamma * (1 - terminated) * next_values - values  # step 3
+    deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
     advantage = 0.0
     for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage  # step 4
+        advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage
         advantages[t] = advantage
     return advantages
 
 
-# --- Losses ---------------------------------------------------------------------------------------
-
-
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); (B,) each. Its gradient estimates that of −E[G]; its value need not fall."""
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value says nothing.
+
+    Let J(π) be the expected return, ∇ the gradient with respect to the weights of the actor, and E
+    the mean over the states that π visits and the actions that it draws there. Then
+
+        ∇J ∝ E[ Σ_a ∇π(a|s)·Q(s,a) ]         policy gradient theorem: no gradient of Q or of E
+           = E[ Q(s,a)·∇log π(a|s) ]         ∇π = π·∇log π
+           = E[ A(s,a)·∇log π(a|s) ]         E[V(s)·∇log π] = V(s)·Σ_a ∇π = V(s)·∇1 = 0
+
+    (reinforce_mujoco.py derives the theorem.) Subtracting V(s) does not change the mean of the
+    estimate, but takes away much of its noise. GAE makes it biased, since the critic is not exact.
+    The actions must be those of the current π, so a rollout serves for one step of Adam only.
+    """
     return -(advantages * log_probs).mean()
 
 
-def value_loss(values, targets):
-    """½·mean((V − target)²); (…,) each -> ()."""
-    return ((values - targets) ** 2).mean() / 2
-
-
-# --- Update ---------------------------------------------------------------------------------------
-
-
 def optimise(agent, optimizer, batch, args):
-    """Steps 3 to 5. Returns the diagnostics."""
-    obs, samples = batch["obs"].flatten(0, 1), batch["samples"].flatten(0, 1)
-    with torch.no_grad():  # advantages and targets are data: no gradient goes through them
-        values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
-        advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
-                                 batch["done"], args.gamma, args.gae_lambda).flatten()
-        targets = advantages + values.flatten()
-    # The share of the variance of R that V predicts; A = R − V is the rest. A constant has 0.
+    """Step 5: one step of Adam. Returns its diagnostics."""
+    obs, actions = batch.obs.flatten(0, 1), batch.actions.flatten(0, 1)  # (T, N, …) -> (T·N, …)
+    advantages, targets = batch.advantages.flatten(), batch.targets.flatten()
+    # How well the critic predicts its targets (R − V = A): 1 is perfect, 0 is no better than a
+    # constant, below 0 is worse.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
+    # Standardising hardly changes the direction of the gradient: the mean acts as a baseline, and
+    # the standard deviation only rescales the step.
+    A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
-    standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
-    loss_pi = policy_loss(policy.log_prob(samples), standardised)
-    loss_v = value_loss(agent.value(obs), targets)  # V once more, with its gradient
+    loss_pi = policy_loss(policy.log_prob(actions), A)
+    loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
-    (loss_pi + loss_v - args.entropy_coef * entropy).backward()  # the networks share no weights
-    gradient_norm = nn.utils.clip_grad_norm_(
+    (loss_pi + loss_v - args.entropy_coef * entropy).backward()
+    # The networks share no weights, so each gradient can be clipped by itself.
+    actor_norm = nn.utils.clip_grad_norm_(
         agent.actor.parameters(), args.max_grad_norm, error_if_nonfinite=True)
-    critic_gradient_norm = nn.utils.clip_grad_norm_(
+    critic_norm = nn.utils.clip_grad_norm_(
         agent.critic.parameters(), args.max_grad_norm, error_if_nonfinite=True)
-    optimizer.step()  # step 5
-    diagnostics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-                   "explained_variance": explained_variance, "gradient_norm": gradient_norm,
-                   "critic_gradient_norm": critic_gradient_norm}
-    return {name: x.item() for name, x in diagnostics.items()}
+    optimizer.step()
+    metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
+               "explained_variance": explained_variance, "actor_gradient_norm": actor_norm,
+               "critic_gradient_norm": critic_norm}
+    return {name: x.item() for name, x in metrics.items()}
 
 
-# --- Training -------------------------------------------------------------------------------------
+def make_optimizer(agent):
+    """Adam with two learning rates, one for the actor and one for the critic.
 
-
-def train(args, seed):
-    """Train one seed; yields at the start and after each update what there is to write down."""
-    torch.set_num_threads(1)  # networks this small do not gain from more threads
-    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
-    envs = make_envs(args, *([RandomPhysics] if args.randomize else []))
-    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    # Adam divides a gradient by its usual size + eps. With its default eps of 1e-8 even the tiniest
-    # gradients move a weight as far as large ones do; with 1e-5 they do not.
+    Adam divides a gradient by its recent size + eps. eps matters only for gradients of about its
+    own size and smaller: with 1e-5 instead of the usual 1e-8, these no longer make full steps.
+    """
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    optimizer = torch.optim.Adam(groups, eps=1e-5, fused=True)
-    env_step = resume(args.resume, agent, optimizer) if args.resume else 0
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused: faster, otherwise the same
+
+
+def train(args, seed, envs, agent, optimizer, env_step):
+    """The algorithm, from environment step `env_step` on.
+
+    Before the first update and after each one it yields the number of steps so far, a row for each
+    episode that has ended since, and diagnostics of the update.
+    """
+    actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
-    yield env_step, agent, optimizer, [], {}
+    yield env_step, [], {}
     while env_step < args.total_steps:
-        share = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = args.learning_rate * share  # step 1
-        optimizer.param_groups[1]["lr"] = args.critic_learning_rate * share
-        batch, obs, episodes = rollout(envs, agent, obs, args.rollout_steps, env_step)  # step 1
-        batch["rewards"] *= args.reward_scale  # step 2
-        diagnostics = optimise(agent, optimizer, batch, args)  # steps 3 to 5
-        # Only now: until here s has to be normalised as it was in the rollout.
-        agent.norm.update(batch["obs"].flatten(0, 1))  # step 6
-        env_step += batch["rewards"].numel()
-        yield env_step, agent, optimizer, episodes, diagnostics
-    envs.close()
+        # Step 1: anneal the learning rates.
+        remaining = 1 - env_step / args.total_steps
+        actor["lr"] = remaining * args.learning_rate
+        critic["lr"] = remaining * args.critic_learning_rate
+        # Step 2: collect a rollout.
+        batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
+        # Step 3: scale the rewards.
+        batch.rewards *= args.reward_scale
+        # Step 4: estimate advantages and targets, which are constants for the losses.
+        with torch.no_grad():
+            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+        batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
+                                       batch.done, args.gamma, args.gae_lambda)
+        batch.targets = batch.advantages + values
+        # Step 5: update actor and critic.
+        metrics = optimise(agent, optimizer, batch, args)
+        # Step 6: update the statistics last, because the rollout and its update must normalise
+        # observations in the same way.
+        agent.obs_stats.update(batch.obs.flatten(0, 1))
+        env_step += args.rollout_steps * args.num_envs
+        yield env_step, episodes, metrics
 
 
-# ==================================================================================================
-# From here on: nothing about the algorithm
-# ==================================================================================================
-
-# --- Environments ---------------------------------------------------------------------------------
-
-
-def record_episodes(env):
-    """Records return and length of each episode, and ends it after 10,000 steps at the latest."""
-    return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 10_000))
+# --- Domain randomization -------------------------------------------------------------------------
 
 
 class RandomPhysics(gym.Wrapper):
-    """New gravity in each episode of LunarLander, new wind and turbulence in half of them ([4]).
+    """LunarLander with new gravity in every episode, and wind and turbulence in half of them [4].
 
-    None of them is in the observation: π has to land without knowing them.
+    The observation shows none of these, so π has to land without knowing them.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             self.random = np.random.default_rng([seed, 1])  # [seed] is the environment's own
-        self.unwrapped.enable_wind = bool(self.random.integers(2))  # `reset` already needs all this
+        self.unwrapped.enable_wind = bool(self.random.integers(2))
         self.unwrapped.gravity = self.random.uniform(-11.99, -7.0)
         self.unwrapped.wind_power = self.random.uniform(0.0, 20.0)
         self.unwrapped.turbulence_power = self.random.uniform(0.0, 2.0)
         return self.env.reset(seed=seed, options=options)
 
 
-def make_envs(args, *wrappers):
-    """N environments, stepped together; whichever ends restarts within the same step."""
-    return gym.make_vec(
-        args.env_id, args.num_envs, args.vectorization, wrappers=[*wrappers, record_episodes],
-        vector_kwargs={"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP})
+# --- Options --------------------------------------------------------------------------------------
+
+
+def parse_args(argv=None):
+    """The options; a wrong one ends the program with a line that names it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    add = parser.add_argument_group("run").add_argument
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train in parallel")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
+    add("--out-dir", default="runs", help="where the new folder of this run is made")
+    add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
+    add("--resume", metavar="CHECKPOINT", help="continue this training, in a new folder")
+    add("--watch", metavar="CHECKPOINT", help="evaluate this agent and make a GIF of it")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
+    add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
+    add = parser.add_argument_group("environment").add_argument
+    add("--env-id", default="LunarLander-v3", help="or your own: my_module:MyEnv-v0")
+    add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
+    add("--randomize", action="store_true", help="LunarLander: new physics in every episode")
+    add = parser.add_argument_group("algorithm").add_argument
+    add("--rollout-steps", type=number(int, 1), default=64, help="steps in each environment")
+    add("--reward-scale", type=number(float, 0), default=0.1, help="factor of all rewards")
+    add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
+    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
+    add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0: bias, 1: variance")
+    add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy bonus")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
+    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
+    return check(parser, argv)
+
+
+def number(kind, low, high=1e12):
+    """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
+
+    def convert(text):
+        value = float(text)
+        if not low <= value <= high or value != kind(value):
+            raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
+        return kind(value)
+
+    return convert
+
+
+# ==================================================================================================
+# From here on: nothing about the algorithm
+# ==================================================================================================
+
+
+def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
+    """`count` environments that are stepped together.
+
+    Those without a time limit get one of 10,000 steps. NaN, infinity, or a number too large for
+    float32 in an observation or a reward raises a ValueError.
+    """
+    wrappers = [*wrappers,
+                lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+                gym.wrappers.RecordEpisodeStatistics]
+    envs = gym.make_vec(
+        env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
+    check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
+    envs = gym.wrappers.vector.TransformReward(envs, check_finite)
+    return gym.wrappers.vector.TransformObservation(envs, check_finite)
 
 
 def make_seeds(seed, stream, count):
-    """`count` integers; each seed has its own, and so has each purpose (stream).
+    """Independent integers for each seed and purpose (stream).
 
     Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
-def check_finite(first, step, *arrays):
-    """Ends the run in one line if an environment returned NaN or infinity.
-
-    Row i of the arrays (N, …) comes from environment `first` + i. `step` counts from the start of
-    training, in an evaluation from that of the episode.
-    """
-    for values in arrays:
-        if not np.isfinite(values).all():
-            culprit = first + np.argwhere(~np.isfinite(values))[0, 0]
-            sys.exit(f"error: environment {culprit} returned NaN or infinity at its step {step}")
-
-
-# --- Evaluate and watch ---------------------------------------------------------------------------
-
-
 def evaluate(agent, envs, seed):
-    """A deterministic episode in each of `envs`, side by side; the same starts at every call."""
-    seeds = make_seeds(seed, stream=1, count=len(envs))
-    obs = {env: env.reset(seed=seed)[0] for env, seed in zip(envs, seeds)}
-    while obs:  # the last observation of each environment whose episode goes on
-        _, actions = agent.act(np.stack(list(obs.values())), deterministic=True)  # for all at once
-        for env, action in zip(list(obs), actions):
-            obs[env], reward, terminated, truncated, _ = env.step(action)
-            check_finite(envs.index(env), env.episode_lengths, np.array([reward]), obs[env][None])
-            if terminated or truncated:
-                del obs[env]
-    returns, lengths = np.array([(env.episode_returns, env.episode_lengths) for env in envs]).T
+    """An episode of deterministic actions in each environment; the same starts at every call."""
+    obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
+    returns, lengths = np.zeros((2, envs.num_envs))
+    playing = np.ones(envs.num_envs, dtype=bool)
+    while playing.any():  # an environment that has finished runs on, but no longer counts
+        _, env_actions = agent.act(obs, deterministic=True)
+        obs, rewards, terminated, truncated, _ = envs.step(env_actions)
+        returns += playing * rewards
+        lengths += playing
+        playing &= ~(terminated | truncated)
     return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
-            "length_mean": lengths.mean().item(), "episodes": len(envs)}
+            "length_mean": lengths.mean().item()}
 
 
 def watch(args):
     """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
-    if sys.platform == "linux":
-        os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no display
-    gif = Path(args.watch).with_suffix(".gif")
-    print(f"drawing {gif}", flush=True)
-    camera = gym.wrappers.RenderCollection(gym.make(args.env_id, render_mode="rgb_array"))
-    envs = [camera, *(gym.make(args.env_id) for _ in range(args.eval_episodes - 1))]
-    agent = Agent(camera.observation_space, camera.action_space, args)
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
+    envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
+    agent = Agent(envs.single_observation_space, envs.single_action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    result = evaluate(agent, [record_episodes(env) for env in envs], args.seed[0])
-    print("return {return_mean:.1f} ± {return_std:.1f} in {episodes} episodes".format(**result))
-    fps = camera.metadata.get("render_fps", 25)
-    every = math.ceil(fps / 25)  # 25 pictures a second are enough
-    pictures = [Image.fromarray(picture).reduce(2) for picture in camera.render()[::every]]
-    pictures[0].save(gif, save_all=True, append_images=pictures[1:], duration=1000 * every / fps)
+    result = evaluate(agent, envs, args.seed[0])
+    print(f"return {result['return_mean']:.1f} +- {result['return_std']:.1f}")
+    if "rgb_array" in envs.metadata["render_modes"]:
+        camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
+        evaluate(agent, camera, args.seed[0])
+        frames = camera.render()[0]
+        images = [Image.fromarray(frame) for frame in frames[:: len(frames) // 200 + 1]]
+        images[0].save(Path(args.watch).with_suffix(".gif"), save_all=True, loop=0,
+                       append_images=images[1:], duration=50)  # ten seconds at most
 
 
-# --- Files ----------------------------------------------------------------------------------------
-
-
-def make_folder(args):
-    """A new folder for this call, with args.json."""
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
-    try:
-        folder.mkdir(parents=True)
-    except OSError as error:
-        argparse.ArgumentParser(usage=argparse.SUPPRESS).error(f"argument --out-dir: {error}")
-    versions = {package.name: package.version for package in distributions()}
-    record = {**vars(args), "command": sys.argv, "versions": versions}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
-    return folder
-
-
-def run(args, seed, folder, position=0):
-    """Train one seed; all that it leaves goes into `folder`. `position`: the line of its bar."""
-    envs = [record_episodes(gym.make(args.env_id)) for _ in range(args.eval_episodes)]
-    tables = {"evals": [], "episodes": [], "metrics": []}
-    due = np.arange(args.num_evals + 1.0) * args.total_steps / args.num_evals  # when to evaluate
-    seconds = 0.0
-    start = time.perf_counter()
+def run(index, args, folder):
+    """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
+    torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    seed = args.seed[index]
+    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
+    envs = make_envs(args.env_id, args.num_envs, "Disabled",  # `rollout` resets them
+                     args.vectorization, [RandomPhysics] if args.randomize else [])
+    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
+    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
+    optimizer = make_optimizer(agent)
+    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
-        tables = torch.load(args.resume, "cpu", weights_only=True)["tables"]
-        seconds = tables["evals"].pop()["seconds"]  # this row is made again
-    with tqdm(desc=f"seed {seed}", total=args.total_steps, unit="step", unit_scale=True,
-              position=position, leave=False, mininterval=1) as bar:
-        for env_step, agent, optimizer, episodes, diagnostics in train(args, seed):
-            if diagnostics:  # an update was made
-                seconds += time.perf_counter() - start
-                tables["episodes"] += episodes
-                speed = {"steps_per_second": env_step / seconds}
-                tables["metrics"].append({"env_step": env_step, **diagnostics, **speed})
-            if env_step >= due[0]:
-                evaluation = evaluate(agent, envs, seed)
-                tables["evals"].append({"env_step": env_step, "seconds": seconds, **evaluation})
-                save(args, seed, folder, tables, agent, optimizer)
-                due = due[due > env_step]
-            returns = [row["return"] for row in tables["episodes"][-20:]]
-            training = f"{np.mean(returns):.0f}" if returns else "not known yet"
-            bar.set_postfix_str(
-                f"evaluation {evaluation['return_mean']:.0f}, training {training}", refresh=False)
+        checkpoint = torch.load(args.resume, "cpu", weights_only=True)
+        agent.load_state_dict(checkpoint["agent"])
+        optimizer.load_state_dict(checkpoint["optimizer"])
+        tables = checkpoint["tables"]
+        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
+    first_step, seconds = (tables["evals"][-1][name] for name in ("env_step", "seconds"))
+    del tables["evals"][-1]  # the loop below begins with this evaluation
+    evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
+    with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
+        start = time.perf_counter()
+        for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
+            seconds += time.perf_counter() - start
+            tables["episodes"] += episodes
+            if metrics:
+                tables["metrics"].append({"env_step": env_step, **metrics})
             bar.update(min(env_step, args.total_steps) - bar.n)
-            start = time.perf_counter()  # evaluating and saving are not training
+            if env_step >= evals_due[0]:
+                evals_due = evals_due[evals_due > env_step]
+                result = evaluate(agent, eval_envs, seed)
+                tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
+                bar.set_postfix_str(f"return {result['return_mean']:.1f}")
+                save(folder / f"seed-{seed}", {
+                    "args": {**vars(args), "seed": [seed]}, "tables": tables,
+                    "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+            start = time.perf_counter()
 
 
-def save(args, seed, folder, tables, agent, optimizer):
-    """Write the tables and the checkpoint; each file is replaced in one go."""
+def save(folder, checkpoint):
+    """Write the new files before they replace the old ones: none is ever half-written."""
     folder.mkdir(exist_ok=True)
-    for name, rows in tables.items():
+    for name, rows in checkpoint["tables"].items():
         if rows:
-            pd.DataFrame(rows).to_csv(folder / "table.tmp", index=False)
-            os.replace(folder / "table.tmp", folder / f"{name}.csv")
-    state = {"args": {**vars(args), "seed": [seed]}, "tables": tables, "rng": torch.get_rng_state(),
-             "agent": agent.state_dict(), "optimizer": optimizer.state_dict()}
-    torch.save(state, folder / "checkpoint.tmp")
-    os.replace(folder / "checkpoint.tmp", folder / "checkpoint.pt")
+            pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
+    torch.save(checkpoint, folder / "checkpoint.pt.new")
+    for file in sorted(folder.glob("*.new")):
+        file.replace(file.with_suffix(""))
 
 
-def resume(path, agent, optimizer):
-    """Bring back agent, optimizer and random numbers; returns the environment steps so far.
+def report(folder, env_id):
+    """Print the result of each seed, and draw learning_curve.png.
 
-    Episodes that were going on are lost. On a GPU the random numbers start anew.
+    A line is the mean over the seeds, its band reaches from the lowest to the highest, and a point
+    averages a fiftieth of the run.
     """
-    checkpoint = torch.load(path, agent.norm.mean.device, weights_only=True)
-    agent.load_state_dict(checkpoint["agent"])
-    optimizer.load_state_dict(checkpoint["optimizer"])
-    torch.set_rng_state(checkpoint["rng"].cpu())
-    return checkpoint["tables"]["evals"][-1]["env_step"]
-
-
-# --- Plot -----------------------------------------------------------------------------------------
-
-
-def plot(folder, env_id):
-    """learning_curve.png: a panel for each quantity in the tables, over environment steps.
-
-    A line is the mean over the seeds, its band reaches from the lowest to the highest. Before that,
-    each seed is averaged over hundredths of the run; gaps are interpolated, and where a seed ended
-    early, its last value goes on.
-    """
-    names = ("evals.csv", "episodes.csv", "metrics.csv")
-    files = [file for file in sorted(folder.glob("**/*.csv")) if file.name in names]
-    data = pd.concat([pd.read_csv(file).assign(seed=file.parent) for file in files])
-    total = data["env_step"].max()
-    data["env_step"] = np.ceil(100 * data["env_step"] / total) / 100 * total
-    data = data.groupby(["env_step", "seed"]).mean().unstack().interpolate("index")
-    data = data.drop(columns=["seconds", "return_std", "episodes"]).stack(future_stack=True)
-    data = data.reset_index().melt(["env_step", "seed"])
-    evaluated = data["variable"].str.endswith("_mean")
-    data["actions"] = np.where(evaluated, "deterministic: evaluation", "sampled: training")
-    data["variable"] = data["variable"].str.removesuffix("_mean").str.replace("_", " ")
-    grid = sns.relplot(data, x="env_step", y="value", col="variable", hue="actions", col_wrap=4,
-                       kind="line", errorbar=("pi", 100), palette="colorblind", height=2.5,
-                       facet_kws={"sharey": False})
-    grid.set_titles("{col_name}").set_axis_labels("environment steps", "")
-    title = f"{env_id}, seeds: {data['seed'].nunique()} (line: mean, band: lowest to highest)"
-    grid.figure.suptitle(title, y=1.02)
-    grid.savefig(folder / "learning_curve.png")
-
-
-# --- Command line ---------------------------------------------------------------------------------
-
-
-def number(kind, low, high=1e12):
-    """An argparse type: an int or float from `low` to `high`; 1e6 is an int, NaN is refused."""
-
-    def numeric(text):  # argparse says "invalid numeric value" if float(text) fails
-        value = float(text)
-        if low <= value <= high and kind(value) == value:
-            return kind(value)
-        raise argparse.ArgumentTypeError(f"got {text}, takes {kind.__name__} in [{low}, {high:g}]")
-
-    return numeric
+    files = sorted(folder.glob("seed-*/*.csv"))
+    if not files:
+        return
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
+    width = data["env_step"].max() // 50 + 1
+    data["env_step"] = data["env_step"] // width * width
+    data = data.groupby(["env_step", "seed"]).mean().reset_index()
+    figure = Figure(figsize=(12, 9), layout="constrained")
+    panels = figure.subplot_mosaic([
+        ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
+        ["entropy", "actor_gradient_norm", "critic_gradient_norm"]], height_ratios=(3, 1, 1))
+    panels["return"].axhline(gym.make(env_id).spec.reward_threshold or np.nan, label="threshold")
+    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
+    for name in data.columns.intersection([*panels, *labels]):
+        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
+                     ax=panels[name.removesuffix("_mean")])
+    figure.savefig(folder / "learning_curve.png")
+    for file in sorted(folder.glob("seed-*/evals.csv")):
+        last = pd.read_csv(file).iloc[-1]
+        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
+              f"{last['seconds'] / 60:.1f} minutes: {file.parent}")
 
 
 def check(parser, argv):
-    """The arguments if they can work, else one line that says why not, and exit status 2."""
+    """Options on the command line override those of the checkpoint, those override the defaults."""
     args = parser.parse_args(argv)
-    path = args.resume if args.watch is None else args.watch
-    expected = (gym.error.Error, ImportError) if path is None else Exception
+    path = args.resume or args.watch
     try:
-        if path is not None:
-            checkpoint = torch.load(path, "cpu", weights_only=True)  # runs no code from the file
-            # Options given now override those in the checkpoint, which override the defaults.
-            args = parser.parse_args(argv, argparse.Namespace(**checkpoint["args"]))
+        if path:
+            saved = torch.load(path, "cpu", weights_only=True)["args"]
+            args = parser.parse_args(argv, argparse.Namespace(**{**saved, "device": "cpu"}))
         env = gym.make(args.env_id)
-        spaces = observations, actions = env.observation_space, env.action_space
-        flat = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1
-        if not flat or not isinstance(actions, gym.spaces.Discrete):
-            raise gym.error.Error(
-                "takes flat Box observations (gymnasium.wrappers.FlattenObservation) and Discrete "
-                f"actions (ppo_continuous.py: bounded Box, reinforce_mujoco.py: Box), not {spaces}")
-        if args.randomize and not hasattr(env.unwrapped, "wind_power"):
-            raise gym.error.Error("--randomize takes LunarLander")
-        if path is not None:
-            Agent(*spaces, args).load_state_dict(checkpoint["agent"])
-    except expected as error:
-        name = "--env-id" if path is None else f"--watch or --resume: {path}"
-        parser.error(f"argument {name}: {error!r}")
-    if len(set(args.seed)) < len(args.seed) or args.resume and len(args.seed) > 1:
-        parser.error(f"argument --seed: got {args.seed}, takes each once, and one with --resume")
+        spaces = env.observation_space, env.action_space
+        flat = isinstance(spaces[0], gym.spaces.Box) and len(spaces[0].shape) == 1
+        if not flat or not isinstance(env.action_space, gym.spaces.Discrete):
+            raise gym.error.Error(f"takes flat Box observations, Discrete actions, not {spaces}")
+    except Exception if path else (gym.error.Error, ImportError, ValueError) as error:
+        parser.error(f"argument {path or '--env-id'}: {error!r}")
     return args
 
 
-def train_seeds(args, folders):
-    """One seed here, several side by side in processes of their own."""
-    if len(folders) == 1:
-        return run(args, args.seed[0], folders[0])
-    context = multiprocessing.get_context("spawn")
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the processes that start now ignore Ctrl-C
-    pool = ProcessPoolExecutor(None, context, tqdm.set_lock, (context.RLock(),))
-    jobs = [pool.submit(run, args, *job) for job in zip(args.seed, folders, range(len(folders)))]
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    wait(jobs)
-    for job in jobs:
-        job.result()  # raises what went wrong there
-
-
 def main():
-    matplotlib.use("agg")  # draws into files, needs no display
-    sys.path.append(os.getcwd())  # for my_module:MyEnv-v0
-    if hasattr(sys.stdout, "reconfigure"):  # not in a notebook
-        sys.stdout.reconfigure(errors="replace")  # where γ cannot be printed
+    sys.path.append(os.getcwd())  # where my_module of my_module:MyEnv-v0 may be
     args = parse_args()
     if args.watch:
         return watch(args)
-    folder = Path(args.resume).parent if args.resume else make_folder(args)
-    folders = [folder] if args.resume else [folder / f"seed-{seed}" for seed in args.seed]
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    folder.mkdir(parents=True)
+    versions = {name: version(name) for name in ("torch", "gymnasium", "Box2D", "numpy")}
+    record = {**vars(args), "command": sys.argv, "versions": versions}
+    (folder / "args.json").write_text(json.dumps(record, indent=2))
     try:
-        train_seeds(args, folders)
+        if len(args.seed) == 1:
+            run(0, args, folder)
+        else:
+            torch.multiprocessing.spawn(run, (args, folder), len(args.seed), daemon=True)
     except KeyboardInterrupt:
-        for process in multiprocessing.active_children():  # several seeds, or environments
-            process.terminate()
+        sys.exit(130)
     finally:
-        if any(folder.glob("**/metrics.csv")):
-            print(f"drawing {folder / 'learning_curve.png'}", flush=True)
-            plot(folder, args.env_id)
-        for file in sorted(folder.glob("**/evals.csv")):
-            last, path = pd.read_csv(file).iloc[-1], file.with_name("checkpoint.pt")
-            print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-                  f"{last['seconds'] / 60:.1f} minutes: {path}")
-            if last["env_step"] < args.total_steps:
-                print(f"to go on: python {sys.argv[0]} --resume {path}")
+        report(folder, args.env_id)
 
 
 if __name__ == "__main__":
