@@ -70,11 +70,9 @@ class Agent(nn.Module):
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        self.trunk = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh())
-        self.mean = nn.Linear(32, outputs)
-        self.raw_std = nn.Linear(32, outputs)
-        for head in (self.mean, self.raw_std):
-            nn.init.normal_(head.weight, std=0.01)  # at first μ and σ hardly depend on s
+        self.actor = nn.Sequential(
+            nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(), nn.Linear(32, 2 * outputs))
+        nn.init.normal_(self.actor[-1].weight, std=0.01)  # at first μ and σ hardly depend on s
         self.critic = None
         if args.baseline == "value":
             self.critic = nn.Sequential(
@@ -84,10 +82,11 @@ class Agent(nn.Module):
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
-        features = self.trunk(obs)
-        # The floor keeps π exploring, and ∇_μ log π = (a − μ)/σ², whose std is 1/σ, below about 10.
-        std = nn.functional.softplus(self.raw_std(features)) + 0.1
-        return torch.distributions.Normal(self.mean(features), std, validate_args=False)  # faster
+        mean, raw_std = self.actor(obs).chunk(2, dim=-1)
+        # softplus makes σ positive. The floor keeps π exploring, and the gradients small: that of
+        # log π with respect to μ, (a − μ)/σ², has the standard deviation 1/σ, so 10 at most.
+        std = nn.functional.softplus(raw_std) + 0.1
+        return torch.distributions.Normal(mean, std, validate_args=False)  # faster
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
@@ -330,7 +329,7 @@ def run(index, args, folder):
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)
+    optimizer = torch.optim.Adam(agent.parameters())
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
