@@ -9,30 +9,31 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
-seeds of ten earn a return of 247 to 269; 200 counts as solved.
+seeds of ten earn AFEW in evaluation, where 200 counts as solved; the tenth hovers.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
 episode ends. The agent is to earn a large discounted return, r_t + γ·r_{t+1} + γ²·r_{t+2} + …
-A second network, the critic, learns the state value V(s): the return to expect from s on. The
-action value Q(s,a) is the return to expect if a is taken first, and the advantage
-A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average. Actions with
-A > 0 are made more likely and actions with A < 0 less likely, over and over again:
+A second network, the critic, learns the state value V(s): the return to expect from s on if actions
+are drawn from π. The action value Q(s,a) is the return to expect if a is taken first, and the
+advantage A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average.
+Actions with A > 0 are made more likely and actions with A < 0 less likely, over and over again:
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate the advantage A of every action (GAE) and the critic's target R = A + V(s).
+  4. Estimate the advantage A of every action taken (GAE) and the critic's target R = A + V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-New since reinforce_mujoco.py, and the idea of A2C: bootstrapping. The critic stands for the rewards
-that are still to come, so the agent learns before an episode ends, and from many environments that
-are at different points of their episodes [1]. GAE [2] says how far to trust the critic. The other
-news only help in practice: observation normalisation and clipping, reward scaling, standardised
-advantages, an entropy bonus, gradient clipping, orthogonal initialisation with a small last layer,
-Adam's eps. In A3C [1] the environments do not wait for each other; A2C is its synchronous form.
+New since reinforce_mujoco.py, and the idea of A2C, is bootstrapping: the critic's estimate replaces
+the rewards that are still to come, so the agent learns before an episode ends. It can do so from
+many environments at once, whose data are less alike [1]. λ in GAE [2] sets how far the critic is
+trusted. The other additions help in practice: observation normalisation and clipping, reward
+scaling, standardised advantages, an entropy bonus (against settling on one action too early),
+gradient clipping, orthogonal initialisation with a small last layer, Adam's eps. In A3C [1] several
+workers learn without waiting for each other; A2C is its synchronous form.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef.
@@ -69,7 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and the running statistics they need."""
+    """The actor π(a|s), the critic V(s), and statistics that go with them."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -82,7 +83,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…,)."""
         logits = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Categorical(logits=logits, validate_args=False)  # faster
+        return torch.distributions.Categorical(logits=logits, validate_args=False)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), the expected return in scaled rewards (step 3)."""
@@ -100,7 +101,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance, dimension by dimension, of all rows that `update` has seen."""
+    """Mean and variance, dimension by dimension, of all rows seen so far."""
 
     def __init__(self, shape):
         super().__init__()
@@ -113,7 +114,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Pool the statistics of new `rows` (B, …), a fraction w of all rows, with the old ones:
+        """Merge in new `rows` (B, …); w is their fraction of all rows seen so far:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -127,7 +128,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers of ReLU units and a linear one; orthogonal weights, zero biases."""
+    """Two hidden layers of ReLU units, a linear output layer; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -142,10 +143,10 @@ def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from the observations `obs` (N, D).
 
     Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
-    a row for each episode that ended. `env_step` counts the steps taken before, to date the rows.
+    a row for each episode that ended. `env_step` is the number of steps taken before.
 
-    At the end of an episode `next_obs` is its last observation. The environments must not restart
-    by themselves: they are reset here, and only then show the first observation of the next one.
+    `next_obs` is always what followed, also at the end of an episode. For this the environments
+    must not reset themselves: finished ones are reset here, and `obs` then begins a new episode.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -175,12 +176,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
     stands for all others: the estimate varies little, but inherits the critic's errors (bias).
     With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains every
-    reward of the rollout: less bias, but also the luck of every later action (variance).
+    later reward of the episode: less bias, but also the luck of every later action (variance).
 
-    The sum stops where the data stop. At a terminal state no reward can follow, so V(s_{t+1})
-    counts as 0. At a time limit V(s_{t+1}) stands for the rewards that could have followed [3].
-    In both cases A_{t+1} belongs to the next episode and is left out. At the end of the rollout
-    V(s_{t+1}) stands for the rest of the episode.
+    Three boundaries end the sum:
+        terminated      no reward can follow, so V(s_{t+1}) counts as 0
+        truncated       V(s_{t+1}) stands for the rewards that could have followed [3]
+        end of rollout  V(s_{t+1}) stands for the rest of the episode
+    After the first two, A_{t+1} belongs to another episode, so it is left out.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -194,16 +196,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value says nothing.
 
-    Let J(π) be the expected return, ∇ the gradient with respect to the weights of the actor, and E
-    the mean over the states that π visits and the actions that it draws there. Then
+    J is the expected return, and ∇ the gradient with respect to the weights of the actor. Then
 
-        ∇J ∝ E[ Σ_a ∇π(a|s)·Q(s,a) ]         policy gradient theorem: no gradient of Q or of E
-           = E[ Q(s,a)·∇log π(a|s) ]         ∇π = π·∇log π
-           = E[ A(s,a)·∇log π(a|s) ]         E[V(s)·∇log π] = V(s)·Σ_a ∇π = V(s)·∇1 = 0
+        ∇V(s) = Σ_a ∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)     product rule for V(s) = Σ_a π·Q
+              = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      the same for ∇V(s'), and so on
 
-    (reinforce_mujoco.py derives the theorem.) Subtracting V(s) does not change the mean of the
-    estimate, but takes away much of its noise. GAE makes it biased, since the critic is not exact.
-    The actions must be those of the current π, so a rollout serves for one step of Adam only.
+    As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
+    Subtracting V(s) from Q(s,a) does not change the mean of the gradient, but takes away much of
+    its noise. The actions must be drawn from the current π, so a rollout serves for one step only.
     """
     return -(advantages * log_probs).mean()
 
@@ -215,8 +217,7 @@ def optimise(agent, optimizer, batch, args):
     # How well the critic predicts its targets (R − V = A): 1 is perfect, 0 is no better than a
     # constant, below 0 is worse.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
-    # Standardising hardly changes the direction of the gradient: the mean acts as a baseline, and
-    # the standard deviation only rescales the step.
+    # The mean acts as one more baseline; the division gives A the same scale everywhere.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -239,11 +240,11 @@ def optimise(agent, optimizer, batch, args):
 def make_optimizer(agent):
     """Adam with two learning rates, one for the actor and one for the critic.
 
-    Adam divides a gradient by its recent size + eps. eps matters only for gradients of about its
-    own size and smaller: with 1e-5 instead of the usual 1e-8, these no longer make full steps.
+    Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
+    the usual 1e-8, weights whose gradients are about as small as that take smaller steps.
     """
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused: faster, otherwise the same
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -275,7 +276,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 6: update the statistics last, because the rollout and its update must normalise
         # observations in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
-        env_step += args.rollout_steps * args.num_envs
+        env_step += batch.rewards.numel()  # T·N
         yield env_step, episodes, metrics
 
 
@@ -285,12 +286,12 @@ def train(args, seed, envs, agent, optimizer, env_step):
 class RandomPhysics(gym.Wrapper):
     """LunarLander with new gravity in every episode, and wind and turbulence in half of them [4].
 
-    The observation shows none of these, so π has to land without knowing them.
+    For training only. The observation shows none of these, so π has to land without knowing them.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
-            self.random = np.random.default_rng([seed, 1])  # [seed] is the environment's own
+            self.random = np.random.default_rng([seed, 1])  # not the environment's own
         self.unwrapped.enable_wind = bool(self.random.integers(2))
         self.unwrapped.gravity = self.random.uniform(-11.99, -7.0)
         self.unwrapped.wind_power = self.random.uniform(0.0, 20.0)
@@ -307,16 +308,16 @@ def parse_args(argv=None):
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument_group("run").add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train in parallel")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", metavar="CHECKPOINT", help="continue this training, in a new folder")
-    add("--watch", metavar="CHECKPOINT", help="evaluate this agent and make a GIF of it")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="go on, in a new folder")
+    add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="LunarLander-v3", help="or your own: my_module:MyEnv-v0")
+    add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="LunarLander: new physics in every episode")
@@ -326,7 +327,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0: bias, 1: variance")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
     add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy bonus")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
@@ -336,13 +337,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def convert(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return convert
+    return number
 
 
 # ==================================================================================================
@@ -369,7 +370,7 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 def make_seeds(seed, stream, count):
     """Independent integers for each seed and purpose (stream).
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -410,6 +411,8 @@ def run(index, args, folder):
     """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
+    folder = folder / f"seed-{seed}"
+    folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, args.num_envs, "Disabled",  # `rollout` resets them
                      args.vectorization, [RandomPhysics] if args.randomize else [])
@@ -423,9 +426,10 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    first_step, seconds = (tables["evals"][-1][name] for name in ("env_step", "seconds"))
-    del tables["evals"][-1]  # the loop below begins with this evaluation
+    last = tables["evals"].pop()  # the loop below begins by making it again
+    first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
+    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -439,15 +443,16 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder / f"seed-{seed}", {
+                save(folder, {
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+            if parent and not parent.is_alive():
+                return  # it was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
 def save(folder, checkpoint):
     """Write the new files before they replace the old ones: none is ever half-written."""
-    folder.mkdir(exist_ok=True)
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -473,7 +478,8 @@ def report(folder, env_id):
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
         ["entropy", "actor_gradient_norm", "critic_gradient_norm"]], height_ratios=(3, 1, 1))
-    panels["return"].axhline(gym.make(env_id).spec.reward_threshold or np.nan, label="threshold")
+    threshold = gym.make(env_id).spec.reward_threshold
+    panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
@@ -486,20 +492,25 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options on the command line override those of the checkpoint, those override the defaults."""
+    """Options given here override those of a checkpoint (but its device), those the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
+    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**{**saved, "device": "cpu"}))
+            args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
         env = gym.make(args.env_id)
-        spaces = env.observation_space, env.action_space
-        flat = isinstance(spaces[0], gym.spaces.Box) and len(spaces[0].shape) == 1
-        if not flat or not isinstance(env.action_space, gym.spaces.Discrete):
-            raise gym.error.Error(f"takes flat Box observations, Discrete actions, not {spaces}")
-    except Exception if path else (gym.error.Error, ImportError, ValueError) as error:
-        parser.error(f"argument {path or '--env-id'}: {error!r}")
+        obs_space = env.observation_space
+        fits = isinstance(obs_space, gym.spaces.Box) and len(obs_space.shape) == 1
+        if not fits or not isinstance(env.action_space, gym.spaces.Discrete):
+            parser.error("argument --env-id: takes flat Box observations and Discrete actions")
+        if args.vectorization == "async" and len(args.seed) > 1:
+            parser.error("argument --vectorization: async takes one seed")
+        if args.randomize and not hasattr(env.unwrapped, "turbulence_power"):
+            parser.error("argument --randomize: takes LunarLander")
+    except expected as error:
+        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 

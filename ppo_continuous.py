@@ -9,35 +9,35 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, each earns a return of about 9,325, of 9,360 at most.
+a minute, each earns a return of about 9,325 in evaluation; 9,360 is the most there is.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
 episode ends. The agent is to earn a large discounted return, r_t + γ·r_{t+1} + γ²·r_{t+2} + …
-A second network, the critic, learns the state value V(s): the return to expect from s on. The
-action value Q(s,a) is the return to expect if a is taken first, and the advantage
-A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average. Actions with
-A > 0 are made more likely and actions with A < 0 less likely, over and over again:
+A second network, the critic, learns the state value V(s): the return to expect from s on if actions
+are drawn from π. The action value Q(s,a) is the return to expect if a is taken first, and the
+advantage A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average.
+Actions with A > 0 are made more likely and actions with A < 0 less likely, over and over again:
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate the advantage A of every action (GAE) and the critic's target R = A + V(s).
-  5. For several epochs, for each shuffled minibatch, with the ratio ρ = π(a|s) / π_old(a|s), where
-     π_old is the policy that played the rollout: stop if the KL divergence between them exceeds
-     max_kl; otherwise standardise A over the minibatch, and take a step of Adam on
+  4. Estimate the advantage A of every action taken (GAE) and the critic's target R = A + V(s).
+  5. For several epochs, for each shuffled minibatch: go to 6 if the KL divergence of π from π_old,
+     the policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
+     and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-Rollouts, epochs and the clipped loss are PPO [1], with GAE [2]. All else is an implementation
-detail, and details matter [4]: annealing, reward scaling, observation normalisation and clipping,
-standardised advantages, the KL limit, gradient clipping, orthogonal initialisation with a small
-last layer, Adam's eps, tanh squashing, a separate learning rate for σ.
+Rollouts, epochs and the loss are PPO [1], with GAE [2]; the entropy bonus, which keeps π exploring,
+is off by default. The rest are implementation details, and they matter [4]: annealing, reward
+scaling, observation normalisation and clipping, standardised advantages, the KL limit, gradient
+clipping, orthogonal initialisation with a small last layer, Adam's eps, tanh squashing, a separate
+learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef, ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
-Shapes: T rollout_steps, N num_envs, B = T·N, D numbers in an observation, K in an action,
-    M minibatch_size.
+Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
@@ -70,7 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and the running statistics they need.
+    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics that go with them.
 
     σ (K,) is the same in all states, and learned like a weight.
     """
@@ -89,7 +89,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         means = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Normal(means, self.log_std.exp(), validate_args=False)  # faster
+        return torch.distributions.Normal(means, self.log_std.exp(), validate_args=False)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), the expected return in scaled rewards (step 3)."""
@@ -100,8 +100,8 @@ class Agent(nn.Module):
         """Observations (N, D) -> actions (N, K), drawn from π or its mean, and what the environment
         gets: the same, squashed by tanh into the range that it accepts. All are NumPy arrays.
 
-        Squashing counts as a part of the environment: π is the density of the action before it, so
-        neither log π nor ρ needs a correction.
+        Squashing counts as a part of the environment: π is the density of the unsquashed action,
+        so neither log π nor ρ needs a correction.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         actions = policy.mode if deterministic else policy.sample()
@@ -110,7 +110,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance, dimension by dimension, of all rows that `update` has seen."""
+    """Mean and variance, dimension by dimension, of all rows seen so far."""
 
     def __init__(self, shape):
         super().__init__()
@@ -123,7 +123,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Pool the statistics of new `rows` (B, …), a fraction w of all rows, with the old ones:
+        """Merge in new `rows` (B, …); w is their fraction of all rows seen so far:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -137,7 +137,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers of tanh units and a linear one; orthogonal weights, zero biases."""
+    """Two hidden layers of tanh units, a linear output layer; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -152,10 +152,10 @@ def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from the observations `obs` (N, D).
 
     Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
-    a row for each episode that ended. `env_step` counts the steps taken before, to date the rows.
+    a row for each episode that ended. `env_step` is the number of steps taken before.
 
-    At the end of an episode `next_obs` is its last observation. The environments must not restart
-    by themselves: they are reset here, and only then show the first observation of the next one.
+    `next_obs` is always what followed, also at the end of an episode. For this the environments
+    must not reset themselves: finished ones are reset here, and `obs` then begins a new episode.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -184,7 +184,7 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    The mean is not subtracted: a constant reward of 1, "you have not fallen", would become 0.
+    Rewards are not centred: a constant reward of 1, "you have not fallen", would become 0.
     `past_return` (N,) is F where the previous rollout ended. Returns the rewards and the new F.
     """
     past_returns = torch.empty_like(rewards)
@@ -205,12 +205,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
     stands for all others: the estimate varies little, but inherits the critic's errors (bias).
     With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains every
-    reward of the rollout: less bias, but also the luck of every later action (variance).
+    later reward of the episode: less bias, but also the luck of every later action (variance).
 
-    The sum stops where the data stop. At a terminal state no reward can follow, so V(s_{t+1})
-    counts as 0. At a time limit V(s_{t+1}) stands for the rewards that could have followed [3].
-    In both cases A_{t+1} belongs to the next episode and is left out. At the end of the rollout
-    V(s_{t+1}) stands for the rest of the episode.
+    Three boundaries end the sum:
+        terminated      no reward can follow, so V(s_{t+1}) counts as 0
+        truncated       V(s_{t+1}) stands for the rewards that could have followed [3]
+        end of rollout  V(s_{t+1}) stands for the rest of the episode
+    After the first two, A_{t+1} belongs to another episode, so it is left out.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -224,20 +225,20 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
-    Let J(π) be the expected return, ∇ the gradient with respect to the weights of the actor, and E
-    the mean over the states that π visits and the actions that it draws there. Then
+    J is the expected return, and ∇ the gradient with respect to the weights of the actor. Then
 
-        ∇J ∝ E[ ∫ ∇π(a|s)·Q(s,a) da ]        policy gradient theorem: no gradient of Q or of E
-           = E[ Q(s,a)·∇log π(a|s) ]         ∇π = π·∇log π
-           = E[ A(s,a)·∇log π(a|s) ]         E[V(s)·∇log π] = V(s)·∫ ∇π da = V(s)·∇1 = 0
-           = E[ A(s,a)·∇ρ ]  at π = π_old    ∇ρ = ∇π/π_old = ∇log π
+        ∇V(s) = ∫ ∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a) da    product rule for V(s) = ∫ π·Q da
+              = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫ ∇π da = ∇1 = 0
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      the same for ∇V(s'), and so on
+           = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    (reinforce_mujoco.py derives the theorem.) So the surrogate objective mean(ρ·A) has the gradient
-    we want at π = π_old, and unlike log π it stays meaningful for several steps away from there.
-    But not for many: its states and its advantages remain those of π_old. The clip therefore takes
-    away the incentive to go further. Once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample
-    has no gradient. Where ρ has moved the wrong way, min selects the unclipped term, which leads
-    back. The other samples may still push ρ further out; max_kl ends the update if they do.
+    As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
+    So the surrogate objective mean(ρ·A) has the gradient we want at π = π_old. Further away it is
+    only an approximation, because the states and the advantages remain those of π_old; so the clip
+    takes away the incentive to go far. Once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a
+    sample has no gradient. Where ρ has moved the wrong way, min selects the unclipped term, which
+    leads back. Other samples may still push ρ further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -246,8 +247,8 @@ def policy_loss(ratio, advantages, clip_eps):
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
-    Adding ρ − 1 leaves the mean unchanged, because E_old[ρ] = ∫ π da = 1. But it makes every term
-    at least 0, and as it cancels most of −log ρ near ρ = 1, the estimate has far less noise.
+    E_old is the mean over actions of π_old. Adding ρ − 1 does not change it, since E_old[ρ] =
+    ∫ π da = 1. But it leaves no term negative, and takes away most of the noise of the estimate.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but exact near 0
 
@@ -269,8 +270,7 @@ def optimise(agent, optimizer, batch, args):
             ratio = log_ratio.exp()
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
-            # Standardising hardly changes the direction of the gradient: the mean acts as a
-            # baseline, and the standard deviation only rescales the step.
+            # The mean acts as one more baseline; the division gives A the same scale everywhere.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2
@@ -279,7 +279,7 @@ def optimise(agent, optimizer, batch, args):
                    "policy_std": policy.stddev.mean(), "approximate_kl": kl,
                    "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
             logs.append({name: x.item() for name, x in log.items()})
-            if kl > args.max_kl:  # the previous step went too far; it is not undone
+            if kl > args.max_kl:  # far enough; no step is undone
                 return logs
             optimizer.zero_grad()
             (loss_pi + loss_v - args.entropy_coef * entropy).backward()
@@ -292,12 +292,12 @@ def optimise(agent, optimizer, batch, args):
 def make_optimizer(agent):
     """Adam with two learning rates, one for the networks and one for log σ.
 
-    Adam divides a gradient by its recent size + eps. eps matters only for gradients of about its
-    own size and smaller: with 1e-5 instead of the usual 1e-8, these no longer make full steps.
+    Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
+    the usual 1e-8, weights whose gradients are about as small as that take smaller steps.
     """
     networks = [*agent.actor.parameters(), *agent.critic.parameters()]
     groups = [{"params": networks}, {"params": agent.log_std}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused: faster, otherwise the same
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -331,7 +331,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 6: update the statistics last, because the rollout and its update must normalise
         # observations in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
-        env_step += args.rollout_steps * args.num_envs
+        env_step += batch.rewards.numel()  # T·N
         yield env_step, episodes, pd.DataFrame(logs).mean().to_dict()
 
 
@@ -344,16 +344,16 @@ def parse_args(argv=None):
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument_group("run").add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train in parallel")
-    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps, at least")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
+    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", metavar="CHECKPOINT", help="continue this training, in a new folder")
-    add("--watch", metavar="CHECKPOINT", help="evaluate this agent and make a GIF of it")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="go on, in a new folder")
+    add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="InvertedDoublePendulum-v5", help="or your own: my_module:MyEnv-v0")
+    add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
     add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=128, help="steps in each environment")
@@ -362,7 +362,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of actor and critic")
     add("--std-learning-rate", type=number(float, 0), default=3e-4, help="of log sigma")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0: bias, 1: variance")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy bonus")
@@ -375,13 +375,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def convert(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return convert
+    return number
 
 
 # ==================================================================================================
@@ -407,7 +407,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 def make_seeds(seed, stream, count):
     """Independent integers for each seed and purpose (stream).
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -448,6 +448,8 @@ def run(index, args, folder):
     """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
+    folder = folder / f"seed-{seed}"
+    folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
@@ -460,9 +462,10 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    first_step, seconds = (tables["evals"][-1][name] for name in ("env_step", "seconds"))
-    del tables["evals"][-1]  # the loop below begins with this evaluation
+    last = tables["evals"].pop()  # the loop below begins by making it again
+    first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
+    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -476,15 +479,16 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder / f"seed-{seed}", {
+                save(folder, {
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+            if parent and not parent.is_alive():
+                return  # it was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
 def save(folder, checkpoint):
     """Write the new files before they replace the old ones: none is ever half-written."""
-    folder.mkdir(exist_ok=True)
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -510,7 +514,8 @@ def report(folder, env_id):
     panels = figure.subplot_mosaic([
         ["return"] * 4, ["policy_loss", "value_loss", "explained_variance", "gradient_norm"],
         ["entropy", "policy_std", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
-    panels["return"].axhline(gym.make(env_id).spec.reward_threshold or np.nan, label="threshold")
+    threshold = gym.make(env_id).spec.reward_threshold
+    panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
@@ -523,21 +528,21 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options on the command line override those of the checkpoint, those override the defaults."""
+    """Options given here override those of a checkpoint (but its device), those the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
+    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**{**saved, "device": "cpu"}))
+            args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
-        flat = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
-        if not flat or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
-            raise gym.error.Error(
-                f"takes flat Box observations and bounded Box actions of floats, not {spaces}")
-    except Exception if path else (gym.error.Error, ImportError, ValueError) as error:
-        parser.error(f"argument {path or '--env-id'}: {error!r}")
+        fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
+        if not fits or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
+            parser.error("argument --env-id: takes flat Box observations, bounded Box actions")
+    except expected as error:
+        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 

@@ -18,18 +18,18 @@ likely the more reward came after it:
 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the return from every step t on:  G_t = r_t + γ·G_{t+1}  (a discounted "reward-to-go").
-     γ makes it look about 1 / (1 − γ) = 50 steps ahead, and so less noisy than a plain sum.
+  3. Compute the return from every step t on:  G_t = r_t + γ·G_{t+1}. The discount γ makes it look
+     about 1 / (1 − γ) = 50 steps ahead, so that it is less noisy than a plain sum.
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch; A is also divided by the std of G
          --baseline value   b_t = V(s_t), where a second network, the critic, learns to predict G_t
-  5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²),  and throw the batch away,
-     because the new policy would play other episodes. Go to 1.
+  5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²)  (the second part only if
+     there is a critic). Discard the batch, because it shows the old policy. Go to 1.
 
-Steps 2, 3 and 5 are REINFORCE [1], which already allows for a baseline. Implementation details are
-annealing, means over the steps of a batch instead of sums over episodes, Adam, a floor under σ and
-a small last layer of the actor.
+REINFORCE [1], with returns from every step on [2], are steps 2 to 4 and the first part of the loss.
+Implementation details are annealing, Adam, a mean over all steps of a batch, a floor under σ, a
+small last layer, clipped actions, and the critic's estimate in place of what a time limit cuts off.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -70,8 +70,8 @@ class Agent(nn.Module):
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        self.actor = nn.Sequential(
-            nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(), nn.Linear(32, 2 * outputs))
+        self.actor = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(),
+                                   nn.Linear(32, 2 * outputs))
         nn.init.normal_(self.actor[-1].weight, std=0.01)  # at first μ and σ hardly depend on s
         self.critic = None
         if args.baseline == "value":
@@ -83,10 +83,10 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
-        # softplus makes σ positive. The floor keeps π exploring, and the gradients small: that of
-        # log π with respect to μ, (a − μ)/σ², has the standard deviation 1/σ, so 10 at most.
+        # The floor under σ keeps π exploring and bounds the gradients: that of log π with respect
+        # to μ is (a − μ)/σ², and its standard deviation is 1/σ, so 10 at most.
         std = nn.functional.softplus(raw_std) + 0.1
-        return torch.distributions.Normal(mean, std, validate_args=False)  # faster
+        return torch.distributions.Normal(mean, std, validate_args=False)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
@@ -99,7 +99,7 @@ class Agent(nn.Module):
         """Observations (N, D) -> actions (N, K), drawn from π or its mean, and what the environment
         gets: the same, clipped to the range that it accepts. All are NumPy arrays.
 
-        Clipping counts as a part of the environment: π is the density of the action before it.
+        Clipping counts as a part of the environment: π is the density of the unclipped action.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         actions = policy.mode if deterministic else policy.sample()
@@ -111,35 +111,34 @@ class Agent(nn.Module):
 
 
 def rollout(envs, agent, args, env_step):
-    """Steps 2 and 3: whole episodes, one after the other, in a vector of one environment.
+    """Steps 2 and 3: whole episodes, one after the other. `envs` is a vector of one environment.
 
     Returns the batch, a namespace of tensors, obs (B, D), actions (B, K) and returns (B,); and a
     row for each episode. `env_step` counts the steps taken before, to date the rows.
     """
-    obs_rows, action_rows, returns, episodes = [], [], [], []
+    batch = SimpleNamespace(obs=[], actions=[], returns=[])
+    episodes = []
     for _ in range(args.batch_episodes):
         obs, _ = envs.reset()
         rewards = []
         done = False
         while not done:
             actions, env_actions = agent.act(obs)
-            obs_rows.append(obs[0])
-            action_rows.append(actions[0])
+            batch.obs.append(obs[0])
+            batch.actions.append(actions[0])
             obs, reward, terminated, truncated, infos = envs.step(env_actions)
             rewards.append(reward.item())
-            done = terminated[0] or truncated[0]
+            done = terminated.item() or truncated.item()
         env_step += len(rewards)
-        # After a terminal state no reward can follow. After a time limit the critic, if there is
-        # one, stands for the rewards that could have followed [3]; without it they are left out.
-        with torch.no_grad():
-            last_value = agent.value(torch.as_tensor(obs, device=args.device)).item()
-        returns += discounted_returns(rewards, 0.0 if terminated[0] else last_value, args.gamma)
+        # At a terminal state no reward can follow. At a time limit, V(s_T) stands for the rewards
+        # that could have followed [3]; without a critic they count as 0.
+        last_value = 0.0 if terminated else agent.value(torch.as_tensor(obs).to(args.device)).item()
+        batch.returns += discounted_returns(rewards, last_value, args.gamma)
         episodes.append({"env_step": env_step, "return": float(infos["episode"]["r"][0]),
                          "length": int(infos["episode"]["l"][0])})
-    columns = {"obs": obs_rows, "actions": action_rows, "returns": returns}
-    batch = SimpleNamespace(**{
-        name: torch.as_tensor(np.array(rows), dtype=torch.float32, device=args.device)
-        for name, rows in columns.items()})
+    for name, rows in vars(batch).items():
+        column = torch.as_tensor(np.array(rows), dtype=torch.float32, device=args.device)
+        setattr(batch, name, column)
     return batch, episodes
 
 
@@ -154,7 +153,7 @@ def discounted_returns(rewards, last_value, gamma):
 
 
 def compute_advantages(returns, values, baseline):
-    """Step 4: A = G − b; all (B,). No gradient goes through A."""
+    """Step 4: A = G − b; all (B,). A is a constant weight: the critic learns from its own loss."""
     if baseline == "mean":
         return (returns - returns.mean()) / (returns.std(correction=0) + 1e-8)
     return returns - values.detach()  # without a critic V = 0
@@ -163,25 +162,26 @@ def compute_advantages(returns, values, baseline):
 def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value says nothing.
 
-    Let J(π) be the expected return from the first state s_0 on, ∇ the gradient with respect to the
-    weights of the actor, V(s) the expected return from s on, and Q(s,a) the same if a is taken
-    first. Then ([2] section 13.2, the policy gradient theorem)
+    J is the expected return of an episode, ∇ the gradient with respect to the weights of the actor.
+    Let V(s) be the expected return from s on, and Q(s,a) the same if a is taken first. Then ([2]
+    section 13.2, the policy gradient theorem)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ ∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a) da      product rule
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]          ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-        ∇J = ∇V(s_0)
+        ∇J = E[∇V(s_0)]
            = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        the same for ∇V(s'), and so on
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
-    So every action is made more likely in proportion to the return that followed it. The factor γ^t
-    is left out, as usual, to give late steps the same weight as early ones.
+    So an action is made more likely in proportion to the return that followed it. The factor γ^t is
+    left out, as usual, to give late steps the same weight as early ones.
 
-    A baseline b(s) may be subtracted from G: E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0. It does not change
-    the mean of the estimate, but its noise. Here no return is negative, so without a baseline every
-    action that was tried is made more likely, bad ones only less so. With one, actions that turned
-    out worse than expected are made less likely. (`mean` is not quite a b(s), as each G_t is a part
-    of its own baseline: with B returns that only shrinks the estimate by a factor of 1 − 1/B.)
+    A baseline b(s) may be subtracted from G: E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0. It leaves the mean
+    of the estimate unchanged and affects only its noise. If no return is negative, as in the
+    default task, then without a baseline every action that was tried is made more likely, bad ones
+    only less so; with one, those that turned out worse than expected are made less likely.
+    (`mean` is not quite a b(s), as it contains returns that the action has influenced; that biases
+    the estimate, and the less the more episodes a batch has.)
     """
     return -(advantages * log_probs).mean()
 
@@ -232,15 +232,15 @@ def parse_args(argv=None):
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument_group("run").add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="several train in parallel")
-    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps, at least")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
+    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--watch", metavar="CHECKPOINT", help="evaluate this agent and make a GIF of it")
+    add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
     add = parser.add_argument_group("environment").add_argument
-    add("--env-id", default="InvertedPendulum-v5", help="or your own: my_module:MyEnv-v0")
+    add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes in a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
@@ -252,13 +252,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def convert(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return convert
+    return number
 
 
 # ==================================================================================================
@@ -284,7 +284,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 def make_seeds(seed, stream, count):
     """Independent integers for each seed and purpose (stream).
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: environments from step k of training on.
+    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -325,6 +325,8 @@ def run(index, args, folder):
     """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
+    folder = folder / f"seed-{seed}"
+    folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
@@ -333,6 +335,7 @@ def run(index, args, folder):
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
+    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
@@ -346,15 +349,16 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder / f"seed-{seed}", {
+                save(folder, {
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict()})
+            if parent and not parent.is_alive():
+                return  # it was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
 def save(folder, checkpoint):
     """Write the new files before they replace the old ones: none is ever half-written."""
-    folder.mkdir(exist_ok=True)
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -380,7 +384,8 @@ def report(folder, env_id):
     panels = figure.subplot_mosaic([
         ["return"] * 4, ["policy_loss", "value_loss", "entropy", "policy_std"]],
         height_ratios=(3, 1))
-    panels["return"].axhline(gym.make(env_id).spec.reward_threshold or np.nan, label="threshold")
+    threshold = gym.make(env_id).spec.reward_threshold
+    panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
@@ -393,18 +398,21 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options on the command line override those of the checkpoint, those override the defaults."""
+    """Options given here override those of a checkpoint, those the defaults."""
     args = parser.parse_args(argv)
+    path = args.watch
+    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
-        if args.watch:
-            saved = torch.load(args.watch, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**{**saved, "device": "cpu"}))
+        if path:
+            saved = torch.load(path, "cpu", weights_only=True)["args"]
+            args = parser.parse_args(argv, argparse.Namespace(**saved))
         env = gym.make(args.env_id)
         spaces = env.observation_space, env.action_space
-        if not all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces):
-            raise gym.error.Error(f"takes flat Box observations and actions, not {spaces}")
-    except Exception if args.watch else (gym.error.Error, ImportError, ValueError) as error:
-        parser.error(f"argument {args.watch or '--env-id'}: {error!r}")
+        fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
+        if not fits or env.action_space.dtype.kind != "f":
+            parser.error("argument --env-id: takes flat Box observations and flat Box actions")
+    except expected as error:
+        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 

@@ -57,8 +57,8 @@ def run_script(path, *arguments):
     """Run a script as a user would; returns its run folder. Its bars go to stderr."""
     command = [sys.executable, path, *map(str, arguments)]
     output = subprocess.check_output(command, text=True)
-    checkpoint = output.splitlines()[-1].rsplit(": ", 1)[-1]  # the last line names one
-    return Path(checkpoint).parent.parent
+    seed_folder = output.splitlines()[-1].rsplit(": ", 1)[-1]  # the last line names one
+    return Path(seed_folder).parent
 
 
 def fresh(*task):
@@ -84,19 +84,34 @@ def print_machine(versions):
     print(f"\n{versions}\n{model}, {os.cpu_count()} cores, {platform.system()}")
 
 
+# --- Training as a script does it -----------------------------------------------------------------
+
+
+def make_envs(module, args):
+    """The environments of a training."""
+    if module is a2c:
+        wrappers = [a2c.RandomPhysics] if args.randomize else []
+        return a2c.make_envs(args.env_id, args.num_envs, "Disabled", args.vectorization, wrappers)
+    return module.make_envs(args.env_id, 1 if module is reinforce else args.num_envs, "Disabled")
+
+
+def begin(module, args, seed):
+    """The agent and the generator of a training: what `run` makes, without its files."""
+    torch.set_num_threads(1)
+    torch.manual_seed(module.make_seeds(seed, stream=0, count=1)[0])
+    envs = make_envs(module, args)
+    agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
+    if module is reinforce:
+        return agent, module.train(args, seed, envs, agent, torch.optim.Adam(agent.parameters()))
+    return agent, module.train(args, seed, envs, agent, module.make_optimizer(agent), 0)
+
+
 # --- Speed ----------------------------------------------------------------------------------------
-
-
-def make_envs(script, args):
-    """The environments of a training; for REINFORCE a single one, not in a vector."""
-    if script == REINFORCE:
-        return reinforce.record_episodes(gym.make(args.env_id))
-    return SCRIPTS[script].make_envs(args)
 
 
 def train(script, flags, seed):
     """Train without evaluations, in this process; returns the seconds and the steps it took."""
-    updates = SCRIPTS[script].train(SCRIPTS[script].parse_args(flags), seed)
+    _, updates = begin(SCRIPTS[script], SCRIPTS[script].parse_args(flags), seed)
     next(updates)  # all is made, nothing is trained
     start = time.perf_counter()
     env_step, *_ = list(updates)[-1]
@@ -127,23 +142,24 @@ def sb3_speed(script, flags, seed):
 def random_speed(script, flags, seed):
     """Our environments without a learner: actions drawn beforehand."""
     args = SCRIPTS[script].parse_args(flags)
-    envs = make_envs(script, args)
+    envs = make_envs(SCRIPTS[script], args)
     envs.action_space.seed(seed)
     envs.reset(seed=seed)
-    count = getattr(envs, "num_envs", 1)
-    actions = [envs.action_space.sample() for _ in range(math.ceil(args.total_steps / count))]
+    num_calls = math.ceil(args.total_steps / envs.num_envs)
+    actions = [envs.action_space.sample() for _ in range(num_calls)]
     start = time.perf_counter()
     for action in actions:
         _, _, terminated, truncated, _ = envs.step(action)
-        if script == REINFORCE and (terminated or truncated):  # a vector does it by itself
-            envs.reset()
+        done = terminated | truncated
+        if done.any():
+            envs.reset(options={"reset_mask": done})  # as `rollout` does
     duration = time.perf_counter() - start
     envs.close()
-    return len(actions) * count / duration
+    return num_calls * envs.num_envs / duration
 
 
 def our_shares(script, flags):
-    """Where the seconds of a training run go; evaluation is none of it, as in steps_per_second."""
+    """Where the seconds of a training run go; evaluation is none of it."""
     module, seconds = SCRIPTS[script], {}
 
     def add_timer(owner, name, part):
@@ -157,16 +173,13 @@ def our_shares(script, flags):
 
         setattr(owner, name, timed)
 
-    kind, rest = type(make_envs(script, module.parse_args(flags))), "rest"
+    kind = type(make_envs(module, module.parse_args(flags)))
     add_timer(kind, "step", "environment")
+    add_timer(kind, "reset", "environment")
     add_timer(module.Agent, "act", "policy")
-    if script == REINFORCE:
-        add_timer(kind, "reset", "environment")
-        rest = "update and rest"
-    else:
-        add_timer(module, "optimise", "update")
+    add_timer(module, "optimise", "update")
     total, _ = train(script, flags, 1)
-    seconds[rest] = total - sum(seconds.values())
+    seconds["rest"] = total - sum(seconds.values())
     return {part: x / total for part, x in seconds.items()}
 
 
@@ -279,8 +292,6 @@ def processes(args):
     """PPO in one process and in two, with the same environments in all: steps per second."""
     path, flags = write_recipe(args.out_dir / "together"), ["--num-evals", 1, "--eval-episodes", 1]
     ways = {"one process": [path.with_name(f"{PPO}.py"), "--num-envs", args.num_envs],
-            "async": [path.with_name(f"{PPO}.py"), "--num-envs", args.num_envs,
-                      "--vectorization", "async"],
             "two processes": ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2,
                               path, "--num-envs", args.num_envs // 2]}
     rows = []
@@ -289,19 +300,18 @@ def processes(args):
             for name, way in ways.items():
                 folder = run_script(*way, "--env-id", env_id, "--total-steps", args.steps, *flags,
                                     "--out-dir", args.out_dir)
-                speed = pd.read_csv(folder / "seed-1/metrics.csv")["steps_per_second"].iloc[-1]
-                rows.append({"env_id": env_id, "pair": pair + 1, "way": name, "speed": speed})
+                last = pd.read_csv(folder / "seed-1/evals.csv").iloc[-1]
+                rows.append({"env_id": env_id, "pair": pair + 1, "way": name,
+                             "speed": last["env_step"] / last["seconds"]})
     data = pd.DataFrame(rows)
     data.to_csv(args.out_dir / "processes.csv", index=False)
     for env_id, x in data.groupby("env_id", sort=False):
         table = x.pivot(index="way", columns="pair", values="speed").loc[list(ways)]
         print_table([f"{env_id}, steps per second", *table.columns],
                     [[name, *map(round, row)] for name, *row in table.itertuples()])
-        print()
-        for name in list(ways)[1:]:
-            ratio = table.loc[name] / table.loc["one process"]
-            print(f"{name} / one process: median {ratio.median():.2f}, "
-                  f"{ratio.min():.2f} to {ratio.max():.2f}")
+        ratio = table.loc["two processes"] / table.loc["one process"]
+        print(f"\ntwo processes / one process: median {ratio.median():.2f}, "
+              f"{ratio.min():.2f} to {ratio.max():.2f}")
     print_machine(json.dumps(installed()))
 
 
@@ -329,7 +339,6 @@ def collect(script, folders):
         if Path(config["command"][0]).stem != script:
             sys.exit(f"error: {folder} is of {config['command'][0]}, not of {script}.py")
         flags, total = written_flags(config, names), config["total_steps"]
-        versions = {name: config["versions"].get(name) for name in PACKAGES}
         for seed in config["seed"]:
             keys = {"env_id": config["env_id"], "flags": flags, "total_steps": total, "seed": seed}
             run = tuple(keys.values())
@@ -350,9 +359,9 @@ def collect(script, folders):
             rows.append({
                 "script": script, **keys, "env_steps": last["env_step"],
                 "eval_return_mean": last["return_mean"], "eval_return_std": last["return_std"],
-                "eval_episodes": last["episodes"],
+                "eval_episodes": config["eval_episodes"],
                 "last_100_returns": tables["episodes"]["return"].tail(100).mean(),
-                "minutes": last["seconds"] / 60, "versions": json.dumps(versions),
+                "minutes": last["seconds"] / 60, "versions": json.dumps(config["versions"]),
                 "steps_per_second": last["env_step"] / last["seconds"], "folder": str(folder)})
     if faults:
         sys.exit("\n".join(["error: these runs cannot count:", *faults]))
@@ -428,7 +437,7 @@ def train_or_load(args):
 
 def random_return(env_id, num_episodes=20):
     """Mean return of actions that are drawn evenly from all that there are."""
-    env = ppo.record_episodes(gym.make(env_id))
+    env = gym.wrappers.RecordEpisodeStatistics(gym.make(env_id))
     env.action_space.seed(1)
     for episode in range(num_episodes):
         env.reset(seed=episode)
@@ -484,11 +493,11 @@ def film(script, checkpoint, path, seconds=8, fps=12.5, size=(240, 160)):
     """A GIF of an agent's first episode, or of its beginning, around what moves in it."""
     module, saved = SCRIPTS[script], torch.load(checkpoint, weights_only=True)
     args = argparse.Namespace(**saved["args"])
-    env = gym.wrappers.RenderCollection(gym.make(args.env_id, render_mode="rgb_array"))
-    agent = module.Agent(env.observation_space, env.action_space, args)
+    camera = module.make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
+    agent = module.Agent(camera.single_observation_space, camera.single_action_space, args)
     agent.load_state_dict(saved["agent"])
-    module.evaluate(agent, [module.record_episodes(env)], args.seed[0])
-    pictures, every = env.render(), env.metadata["render_fps"] / fps
+    module.evaluate(agent, camera, args.seed[0])
+    pictures, every = camera.render()[0], camera.metadata["render_fps"] / fps
     count = min(int(seconds * fps), int(len(pictures) / every))
     pictures = [pictures[int(i * every)] for i in range(count)]
     moves = np.ptp(pictures, axis=0).max(-1) > 30
@@ -538,16 +547,17 @@ BASELINES = "none", "mean", "value"
 def halfway_agent(threshold):
     """REINFORCE's agent when its last 20 training returns average `threshold`; it has no V."""
     args, returns = reinforce.parse_args(["--baseline", "mean"]), []
-    for _, agent, _, episodes, _ in reinforce.train(args, seed=1):
+    agent, updates = begin(reinforce, args, seed=1)
+    for _, episodes, _ in updates:
         returns += [row["return"] for row in episodes]
         if returns and np.mean(returns[-20:]) >= threshold:
             return args, agent
     sys.exit(f"error: argument --halfway: no 20 episodes average {threshold:g}")
 
 
-def sample_batch(args, env, agent):
+def sample_batch(args, envs, agent):
     """The batch of an update. Returns end at time limits for all baselines: `agent` has no V."""
-    return reinforce.rollout(env, agent, args.batch_episodes, args.gamma, 0)[0]
+    return reinforce.rollout(envs, agent, args, 0)[0]
 
 
 def fit_critic(agent, batches, steps=300):
@@ -556,20 +566,20 @@ def fit_critic(agent, batches, steps=300):
     env = gym.make(args.env_id)
     fitted = reinforce.Agent(env.observation_space, env.action_space, args)
     fitted.load_state_dict(agent.state_dict(), strict=False)
-    obs, returns = (torch.cat([batch[name] for batch in batches]) for name in ("obs", "returns"))
+    obs = torch.cat([batch.obs for batch in batches])
+    returns = torch.cat([batch.returns for batch in batches])
     optimizer = torch.optim.Adam(fitted.critic.parameters(), 1e-2)
     for _ in range(steps):
         optimizer.zero_grad()
-        reinforce.value_loss(fitted.value(obs), returns).backward()
+        (((fitted.value(obs) - returns) ** 2).mean() / 2).backward()
         optimizer.step()
     return fitted
 
 
 def policy_gradients(agent, batch):
     """The estimates of one batch, (3, number of parameters); all three in units of a return."""
-    values, returns = agent.value(batch["obs"]), batch["returns"]
-    log_probs = agent.policy(batch["obs"]).log_prob(batch["samples"]).sum(-1)
-    networks = torch.nn.ModuleList((agent.trunk, agent.mean, agent.raw_std))
+    values, returns = agent.value(batch.obs), batch.returns
+    log_probs = agent.policy(batch.obs).log_prob(batch.actions).sum(-1)
     rows = []
     for baseline in BASELINES:
         b = values if baseline == "value" else torch.zeros_like(returns)
@@ -577,7 +587,7 @@ def policy_gradients(agent, batch):
         loss = reinforce.policy_loss(log_probs, advantages)
         if baseline == "mean":
             loss = loss * returns.std(correction=0)  # its A was divided by that
-        gradient = torch.autograd.grad(loss, list(networks.parameters()), retain_graph=True)
+        gradient = torch.autograd.grad(loss, list(agent.actor.parameters()), retain_graph=True)
         rows.append(torch.nn.utils.parameters_to_vector(gradient))
     return torch.stack(rows)
 
@@ -585,13 +595,13 @@ def policy_gradients(agent, batch):
 def measure_variance(num_batches, threshold):
     """The gradient estimates of one policy, from many batches: a row for each baseline."""
     args, agent = halfway_agent(threshold)
-    env = reinforce.record_episodes(gym.make(args.env_id))
-    env.reset(seed=reinforce.make_seeds(1, stream=1000, count=1)[0])  # not an episode of training
+    envs = make_envs(reinforce, args)
+    envs.reset(seed=reinforce.make_seeds(1, stream=1000, count=1))  # not an episode of training
     torch.manual_seed(1)
-    batches = [sample_batch(args, env, agent) for _ in range(num_batches + 50)]
+    batches = [sample_batch(args, envs, agent) for _ in range(num_batches + 50)]
     agent = fit_critic(agent, batches[num_batches:])  # V gets episodes of its own
     batches = batches[:num_batches]
-    length = sum(len(batch["obs"]) for batch in batches) / num_batches / args.batch_episodes
+    length = sum(len(batch.obs) for batch in batches) / num_batches / args.batch_episodes
     print(f"\nOne policy, --baseline mean, seed 1, stopped when 20 training returns averaged "
           f"{threshold:g}; its episodes have\n{length:.0f} steps. {num_batches} batches of "
           f"{args.batch_episodes}; V was fitted to 50 others of the same policy.")
@@ -643,9 +653,9 @@ ABLATIONS = {
         "    for _ in range(args.epochs):\n": """\
     for _ in range(args.epochs):
         with torch.no_grad():
-            values, next_values = agent.value(batch["obs"]), agent.value(batch["next_obs"])
-            advantages = compute_gae(batch["rewards"], values, next_values, batch["terminated"],
-                                     batch["done"], args.gamma, args.gae_lambda).flatten()
+            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+            advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
+                                     batch.done, args.gamma, args.gae_lambda).flatten()
             targets = advantages + values.flatten()
 """},
     "no KL limit": ["--max-kl", "1e9"],
@@ -653,26 +663,26 @@ ABLATIONS = {
     "neither KL limit nor clip": ["--max-kl", "1e9", "--clip-eps", "1e9"],
     "gradient not clipped": ["--max-grad-norm", "1e9"],
     "advantages not standardised": {
-        "standardised = (A - A.mean()) / (A.std(correction=0) + 1e-8)": "standardised = A"},
+        "            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)\n": ""},
     "observations not normalised": {
-        'agent.norm.update(batch["obs"].flatten(0, 1))': "pass"},
+        "agent.obs_stats.update(batch.obs.flatten(0, 1))": "pass"},
     "rewards not scaled": {
-        "return rewards / reward_norm.var.sqrt(), past_return": "return rewards, past_return"},
-    "learning rate constant": {"share = 1 - env_step / args.total_steps": "share = 1"},
+        "return rewards / return_stats.var.sqrt(), past_return": "return rewards, past_return"},
+    "learning rate constant": {"remaining = 1 - env_step / args.total_steps": "remaining = 1"},
     "last layer not small": {"output_gain=0.01)": "output_gain=1.0)"},
     "weights not orthogonal": {
         "nn.init.orthogonal_(layer.weight, gain)":
-            "nn.init.normal_(layer.weight, std=gain / math.sqrt(layer.in_features))"},
+            "nn.init.normal_(layer.weight, std=gain / layer.in_features**0.5)"},
     "σ learns as fast as μ": ["--std-learning-rate", "1e-3"],
     "σ = 1 at first": ["--log-std", "0"],
-    "actions clipped, no tanh": {"torch.tanh(samples)": "samples.clamp(-1, 1)"},
+    "actions clipped, no tanh": {"torch.tanh(actions)": "actions.clamp(-1, 1)"},
     "time limits treated as deaths": {'"terminated": terminated': '"terminated": done'},
     "value loss clipped, too": {
-        "        targets = advantages + values.flatten()\n": """\
-        old_values = values.flatten()
-        targets = advantages + old_values
+        "        old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)\n": """\
+        old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)
+        old_values = agent.value(obs)
 """,
-        "            loss_v = value_loss(agent.value(obs[rows]), targets[rows])\n": """\
+        "            loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2\n": """\
             new = agent.value(obs[rows])
             near = old_values[rows] + (new - old_values[rows]).clamp(-args.clip_eps, args.clip_eps)
             loss_v = torch.max((new - targets[rows]) ** 2, (near - targets[rows]) ** 2).mean() / 2
@@ -790,7 +800,7 @@ EXERCISES = {
     "neither clip nor KL limit": (PPO, ["--clip-eps", "1e9", "--max-kl", "1e9"]),
     "one epoch": (PPO, ["--epochs", "1"]),
     "time limits are deaths": (PPO, {'"terminated": terminated': '"terminated": done'}),
-    "states not normalised": (PPO, {'agent.norm.update(batch["obs"].flatten(0, 1))': "pass"}),
+    "states not normalised": (PPO, {"agent.obs_stats.update(batch.obs.flatten(0, 1))": "pass"}),
     "σ stays as it is": (PPO, {
         "args.log_std))": "args.log_std), requires_grad=False)"}),
     "another reward": (PPO, {
@@ -825,7 +835,7 @@ class Track:
     """Evaluations of one training at even steps, against its seconds; their own do not count."""
 
     def __init__(self, env_id, steps, seed):
-        self.envs = [ppo.record_episodes(gym.make(env_id)) for _ in range(5)]
+        self.envs = ppo.make_envs(env_id, 5, "NextStep")
         self.pause, self.seed = steps / 50, seed
         self.seconds, self.start, self.rows = 0.0, time.perf_counter(), []
 
@@ -842,7 +852,8 @@ def our_race(script, env_id, steps, seed, _):
     module = SCRIPTS[script]
     args = module.parse_args(["--env-id", env_id, "--total-steps", str(steps)])
     track = Track(env_id, steps, seed)
-    for env_step, agent, *_ in module.train(args, seed):
+    agent, updates = begin(module, args, seed)
+    for env_step, *_ in updates:
         track.visit(env_step, agent)
     return track.rows
 
@@ -948,17 +959,18 @@ def play_grid(checkpoint, num_episodes):
     torch.set_num_threads(1)
     saved = torch.load(checkpoint, weights_only=True)
     args = argparse.Namespace(**saved["args"])
-    envs = []
-    for gravity, wind in GRID:
-        world = {"gravity": gravity, "enable_wind": wind > 0, "wind_power": wind}
-        envs += [a2c.record_episodes(gym.make(args.env_id, **world)) for _ in range(num_episodes)]
-    agent = a2c.Agent(envs[0].observation_space, envs[0].action_space, args)
+    env = gym.make(args.env_id)
+    agent = a2c.Agent(env.observation_space, env.action_space, args)
     agent.load_state_dict(saved["agent"])
-    a2c.evaluate(agent, envs, GRID_SEED)  # all side by side
-    cells = np.reshape([env.return_queue[-1] for env in envs], (len(GRID), num_episodes))
+    results = []
+    for i, (gravity, wind) in enumerate(GRID):
+        envs = a2c.make_envs(args.env_id, num_episodes, "NextStep", gravity=gravity,
+                             enable_wind=wind > 0, wind_power=wind)
+        results.append(a2c.evaluate(agent, envs, GRID_SEED + i))
+    cells = pd.DataFrame(results)
     return GRID.to_frame(index=False).assign(
         checkpoint=str(checkpoint), trained="--randomize" if args.randomize else "default",
-        seed=args.seed[0], return_mean=cells.mean(1), return_std=cells.std(1))
+        seed=args.seed[0], return_mean=cells["return_mean"], return_std=cells["return_std"])
 
 
 def robustness(args):

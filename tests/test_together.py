@@ -1,10 +1,12 @@
 """together.py of the README: PPO that plays in several processes, started by torchrun."""
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import benchmark
 import harness
@@ -25,7 +27,7 @@ seen, rollout, scale_rewards = [], ppo.rollout, ppo.scale_rewards
 def play(envs, agent, *rest):
     weights = {name: x.clone() for name, x in agent.state_dict().items()}
     result = rollout(envs, agent, *rest)
-    seen.append({"weights": weights, "batch": dict(result[0])})
+    seen.append({"weights": weights, "batch": dict(vars(result[0]))})
     return result
 
 def scale(rewards, *rest):
@@ -51,16 +53,24 @@ def torchrun(cwd, script, *arguments):
 
 
 def finish(process):
-    out, err = process.communicate(timeout=120)
+    try:
+        out, err = process.communicate(timeout=120)
+    except subprocess.TimeoutExpired:
+        process.terminate()  # it ends those that it has started
+        raise
     return process.returncode, out, err
+
+
+def write_probe(cwd, probe=PROBE):
+    benchmark.write_recipe(cwd)
+    (cwd / "probe.py").write_text(probe)
 
 
 @pytest.fixture(scope="module")
 def together(tmp_path_factory):
     """A run of three updates in two processes, and what both of them saw."""
     cwd = tmp_path_factory.mktemp("together")
-    benchmark.write_recipe(cwd)
-    (cwd / "probe.py").write_text(PROBE)
+    write_probe(cwd)
     status, out, err = finish(torchrun(cwd, "probe.py", *SMALL, "--total-steps", "192"))
     assert status == 0, err
     assert "Warning" not in err
@@ -82,7 +92,7 @@ def test_all_processes_play_with_the_same_weights_which_learn(together):
 def test_each_process_has_noise_and_episodes_of_its_own_and_gets_all_transitions(together):
     *_, first, second = together
     for mine, theirs in zip(first, second):
-        for name in ("obs", "samples"):
+        for name in ("obs", "actions"):
             both = torch.cat([mine["batch"][name], theirs["batch"][name]], 1).flatten(0, 1)
             assert len(both.unique(dim=0)) == len(both)
         rewards = torch.cat([mine["batch"]["rewards"], theirs["batch"]["rewards"]], 1)
@@ -96,14 +106,15 @@ def test_the_first_update_is_that_of_one_process_with_all_environments(together,
 
     def with_the_others(*args):
         batch, obs, episodes = rollout(*args)
-        other = second[0]["batch"]
-        return {name: torch.cat([batch[name], other[name]], 1) for name in batch}, obs, episodes
+        for name, other in second[0]["batch"].items():
+            setattr(batch, name, torch.cat([getattr(batch, name), other], 1))
+        return batch, obs, episodes
 
     monkeypatch.setattr(ppo, "rollout", with_the_others)
-    training = ppo.train(ppo.parse_args([*SMALL, "--total-steps", "192"]), seed=1)
-    next(training)
-    env_step, agent, *_ = next(training)
-    assert env_step == 2 * 2 * 16
+    args = ppo.parse_args([*SMALL, "--total-steps", "192"])
+    agent, updates = benchmark.begin(ppo, args, seed=1)
+    next(updates)
+    next(updates)
     for name, x in agent.state_dict().items():
         assert torch.equal(x, first[1]["weights"][name]), name
 
@@ -118,45 +129,61 @@ def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together)
     assert pd.read_csv(folder / "evals.csv")["env_step"].tolist() == [0, 128, 192]
 
 
+def last_step(cwd):
+    """The step of the last evaluation of the only run in `cwd`, 0 before there is one."""
+    files = list(cwd.glob("runs/*/seed-1/evals.csv"))
+    return pd.read_csv(files[0])["env_step"].iloc[-1] if files else 0
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 class TestEnd:
     def left(self, cwd):
-        """Processes that still work in `cwd`."""
-        time.sleep(0.5)
-        return [x for x in os.listdir("/proc") if x.isdigit() and os.path.exists(f"/proc/{x}/cwd")
-                and os.readlink(f"/proc/{x}/cwd") == str(cwd)]
+        """Processes that still work in `cwd`; they may take ten seconds to end."""
+        limit = time.monotonic() + 10
+        while time.monotonic() < limit:
+            found = []
+            for link in Path("/proc").glob("[0-9]*/cwd"):
+                with contextlib.suppress(OSError):  # it has just ended, or is not ours
+                    found += [link] if os.readlink(link) == str(cwd) else []
+            if not found:
+                break
+            time.sleep(0.2)
+        return found
 
-    def test_a_resumed_run_plays_other_noise_in_each_process_and_ctrl_c_ends_all(self, together):
-        cwd, *_ = together
-        checkpoint = harness.run_folder(cwd) / "seed-1/checkpoint.pt"
-        process = torchrun(cwd, "probe.py", "--resume", checkpoint, "--total-steps", "1e6",
+    def test_a_resumed_run_plays_other_noise_in_each_process_and_ctrl_c_ends_all(
+            self, together, tmp_path):
+        checkpoint = harness.run_folder(together[0]) / "seed-1/checkpoint.pt"
+        write_probe(tmp_path)
+        process = torchrun(tmp_path, "probe.py", "--resume", checkpoint, "--total-steps", "1e6",
                            "--num-evals", "2000")
-        evals = checkpoint.with_name("evals.csv")
-        limit = time.time() + 100
-        while pd.read_csv(evals)["env_step"].iloc[-1] < 2000 and time.time() < limit:
+        limit = time.monotonic() + 100
+        while last_step(tmp_path) < 2000 and process.poll() is None and time.monotonic() < limit:
             time.sleep(0.2)
         os.killpg(process.pid, signal.SIGINT)
-        status, *_ = finish(process)
+        status, _, err = finish(process)
         assert status != 0
-        assert not self.left(cwd)
-        saved = torch.load(checkpoint, weights_only=True)
-        steps = pd.read_csv(evals)["env_step"]
-        assert steps.is_monotonic_increasing
-        assert steps.iloc[-1] >= 2000
-        # Ctrl-C may come between the tables and the checkpoint of one evaluation.
-        assert saved["tables"]["evals"][-1]["env_step"] in steps.tail(2).tolist()
-        mine, theirs = (torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
-        assert not torch.equal(mine[0]["batch"]["samples"], theirs[0]["batch"]["samples"])
-        assert torch.equal(mine[0]["weights"]["actor.0.weight"],
-                           theirs[0]["weights"]["actor.0.weight"])
+        assert not self.left(tmp_path)
+        folder = harness.run_folder(tmp_path) / "seed-1"
+        steps = pd.read_csv(folder / "evals.csv")["env_step"]
+        assert steps.is_monotonic_increasing, err
+        assert steps.iloc[-1] >= 2000, err
+        # The end may come between the checkpoint and the tables of one evaluation.
+        saved = torch.load(folder / "checkpoint.pt", weights_only=True)
+        assert steps.iloc[-1] in [row["env_step"] for row in saved["tables"]["evals"][-2:]]
+        assert saved["args"]["num_envs"] == 2  # those of each process
+        mine, theirs = (
+            torch.load(tmp_path / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
+        assert not torch.equal(mine[0]["batch"]["actions"], theirs[0]["batch"]["actions"])
+        trained = torch.load(checkpoint, weights_only=True)["agent"]["actor.0.weight"]
+        for seen in (mine, theirs):
+            assert torch.equal(seen[0]["weights"]["actor.0.weight"], trained)
 
-    def test_one_that_dies_ends_the_others_with_an_error(self, together):
-        cwd, *_ = together
-        (cwd / "dies.py").write_text(PROBE.replace(
+    def test_one_that_dies_ends_the_others_with_an_error(self, tmp_path):
+        write_probe(tmp_path, PROBE.replace(
             "    rank = ", "    if len(seen) == 3 and distributed.get_rank() == 1: exit(7)\n"
                            "    rank = "))
-        process = torchrun(cwd, "dies.py", *SMALL, "--total-steps", "1e6")
+        process = torchrun(tmp_path, "probe.py", *SMALL, "--total-steps", "1e6")
         status, _, err = finish(process)
         assert status != 0
         assert "exitcode  : 7" in err
-        assert not self.left(cwd)
+        assert not self.left(tmp_path)

@@ -1,0 +1,133 @@
+"""What A2C and PPO make of a rollout before they learn from it, against definitions."""
+
+import numpy as np
+import pytest
+import torch
+
+from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
+
+# --- Generalised advantage estimation -------------------------------------------------------------
+
+
+def random_batch(T=7, N=3):
+    """Rewards, values, next values (T, N) and random flags, 0 or 1: terminated, done."""
+    rewards, values, next_values = torch.randn(3, T, N, dtype=torch.float64)
+    terminated, truncated = (torch.rand(2, T, N) < 0.25).double()
+    return rewards, values, next_values, terminated, torch.maximum(terminated, truncated)
+
+
+def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
+    """A_t = Σ_k (γλ)^k·δ_{t+k}, up to the end of the episode or of the rollout."""
+    advantages = torch.zeros_like(rewards)
+    T, N = rewards.shape
+    for n in range(N):
+        for t in range(T):
+            for k in range(T - t):
+                i = t + k, n
+                bootstrap = 0 if terminated[i] else next_values[i]
+                delta = rewards[i] + gamma * bootstrap - values[i]
+                advantages[t, n] += (gamma * gae_lambda) ** k * delta
+                if done[i]:
+                    break
+    return advantages
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.7, 1.0])
+@pytest.mark.parametrize("gamma", [0.9, 1.0])
+def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lambda):
+    _, _, _, terminated, done = batch = random_batch(T=40, N=5)
+    assert 0 < terminated.sum() < done.sum() < done.numel()
+    expected = gae_by_hand(*batch, gamma, gae_lambda)
+    torch.testing.assert_close(compute_gae(*batch, gamma, gae_lambda), expected)
+
+
+@pytest.mark.parametrize("ends_by", ["termination", "time limit"])
+def test_nothing_after_the_end_of_an_episode_reaches_the_steps_before(ends_by):
+    rewards, values, next_values, terminated, done = random_batch()
+    done[3] = 1
+    terminated[3] = ends_by == "termination"
+    before = compute_gae(rewards, values, next_values, terminated, done, 0.99, 0.95)
+    for x in rewards, values, next_values:
+        x[4:] += 100 * torch.rand_like(x[4:])
+    if ends_by == "termination":
+        next_values[3] += 100
+    after = compute_gae(rewards, values, next_values, terminated, done, 0.99, 0.95)
+    assert torch.equal(before[:4], after[:4])
+    assert not torch.isclose(before[4:], after[4:]).any()
+
+
+@pytest.mark.parametrize(("terminated", "expected"), [(0, 1 + 0.9 * 10 - 2), (1, 1 - 2)])
+def test_a_time_limit_is_bootstrapped_unless_the_episode_terminates_there(terminated, expected):
+    one = torch.ones(1, 1)
+    advantage = compute_gae(one, 2 * one, 10 * one, terminated * one, one, 0.9, 0.95)
+    assert advantage.item() == pytest.approx(expected)
+
+
+def test_the_last_row_of_a_rollout_and_a_rollout_of_one_step_learn():
+    rewards, values, next_values, terminated, done = batch = random_batch(T=1, N=64)
+    delta = rewards + 0.9 * next_values - values
+    advantages = compute_gae(*batch, 0.9, 0.95)
+    torch.testing.assert_close(advantages[terminated == 0], delta[terminated == 0])
+    batch = random_batch(T=6, N=64)
+    last = compute_gae(*(x[-1:] for x in batch), 0.9, 0.95)
+    torch.testing.assert_close(compute_gae(*batch, 0.9, 0.95)[-1:], last)
+
+
+# --- Running statistics ---------------------------------------------------------------------------
+
+
+def test_running_statistics_equal_those_of_numpy_over_unequal_chunks():
+    stats, rows = RunningStatistics(3), torch.randn(500, 3) * torch.tensor([1.0, 20.0, 0.1]) + 5
+    seen = 0
+    for chunk in rows.split([1, 7, 192, 300]):
+        stats.update(chunk)
+        seen += len(chunk)
+        assert stats.count == seen
+        np.testing.assert_allclose(stats.mean, rows[:seen].numpy().mean(0), rtol=1e-5)
+        np.testing.assert_allclose(stats.var, rows[:seen].numpy().var(0), rtol=1e-4, atol=1e-8)
+    x = torch.randn(10, 3) * 50
+    expected = ((x - rows.mean(0)) / rows.std(0, correction=0)).clamp(-10, 10)
+    torch.testing.assert_close(stats.normalise(x), expected, rtol=1e-4, atol=1e-4)
+
+
+def test_statistics_of_single_numbers_have_no_dimension():
+    stats, numbers = RunningStatistics(()), torch.randn(100) + 3
+    stats.update(numbers)
+    assert stats.mean.shape == stats.var.shape == ()
+    torch.testing.assert_close(stats.mean, numbers.mean())
+    torch.testing.assert_close(stats.var, numbers.var(correction=0))
+
+
+def test_the_first_update_forgets_that_the_statistics_began_with_variance_1():
+    stats, rows = RunningStatistics(2), torch.randn(1000, 2) * 3e-4 + torch.tensor([0.0, 1e-3])
+    stats.update(rows)
+    exact = rows.double().numpy()
+    np.testing.assert_allclose(stats.var.sqrt(), exact.std(0), rtol=1e-4)
+    np.testing.assert_allclose(stats.mean, exact.mean(0), rtol=1e-4)
+
+
+def test_before_the_first_update_numbers_are_only_clipped():
+    x = torch.tensor([[3.0, -4.0], [11.0, -1e9]])
+    assert RunningStatistics(2).normalise(x).tolist() == [[3, -4], [10, -10]]
+
+
+def test_a_dimension_that_has_never_changed_may_jump():
+    stats = RunningStatistics(2)
+    stats.update(torch.tensor([[3.0, 0.0], [3.0, 1.0]]))
+    assert stats.normalise(torch.tensor([[3.0, 0.0]]))[0, 0] == 0
+    assert stats.normalise(torch.tensor([[-1e6, 0.0], [1e6, 0.0]]))[:, 0].tolist() == [-10, 10]
+
+
+def test_rewards_are_divided_by_the_std_of_the_discounted_return_so_far():
+    stats, past_return, seen = RunningStatistics(()), 0.0, []
+    F = np.zeros(3)
+    for _ in range(4):  # several rollouts, over which F and the statistics go on
+        rewards, done = torch.randn(10, 3) + 1, (torch.rand(10, 3) < 0.2).float()
+        scaled, past_return = scale_rewards(rewards, done, past_return, stats, 0.9)
+        for t in range(10):
+            F = rewards[t].numpy() + 0.9 * F
+            seen.append(F)
+            F = np.where(done[t] == 1, 0, F)
+        np.testing.assert_allclose(scaled, rewards / np.std(seen), rtol=1e-4)
+        np.testing.assert_allclose(past_return, F, rtol=1e-4, atol=1e-6)
+    assert stats.mean.item() == pytest.approx(np.mean(seen), abs=1e-4)

@@ -1,0 +1,105 @@
+"""Ctrl-C, kill, kill -9: a run ends at once, keeps what was saved, and leaves no process behind."""
+
+import os
+import re
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from harness import World, register, run_folder, start
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
+
+
+class Stuck(World):
+    """An episode that starts without a seed, so not the first one, never ends; it leaves a file."""
+
+    def reset(self, *, seed=None, options=None):
+        self.stuck = seed is None
+        return super().reset(seed=seed)
+
+    def step(self, action):
+        obs, reward, terminated, truncated, info = super().step(action)
+        if self.stuck:
+            Path("stuck").touch()
+            time.sleep(0.01)
+        return obs, reward, terminated and not self.stuck, truncated, info
+
+
+register("Stuck", Stuck)
+LONG = "--total-steps 1e7 --num-evals 2000 --eval-episodes 2"
+SMALL = "--num-envs 4 --rollout-steps 32"
+PPO, A2C, REINFORCE = "ppo_continuous.py", "a2c_vector.py", "reinforce_mujoco.py"
+CASES = {  # script, options, and the file that shows how far it has come
+    "training": (PPO, f"--env-id harness:ThreeSteps-v0 {SMALL} --seed 1", "metrics.csv"),
+    "several seeds": (PPO, f"--env-id harness:ThreeSteps-v0 {SMALL} --seed 1 2 3", "metrics.csv"),
+    "seeds start": (A2C, f"--env-id harness:DiscreteThreeSteps-v0 {SMALL} --seed 1 2",
+                    "args.json"),
+    "processes": (A2C, f"--env-id harness:DiscreteThreeSteps-v0 {SMALL} --vectorization async",
+                  "metrics.csv"),
+    "an endless step": (REINFORCE, "--env-id test_interrupt:Stuck-v0", "stuck"),
+}
+
+
+def stop(case, cwd, send):
+    """Start a run in `cwd`, stop it once it has left its file; returns the finished process."""
+    script, options, file = CASES[case]
+    process = start(script, *options.split(), *LONG.split(), cwd=cwd, own_group=True)
+    deadline = time.monotonic() + 100
+    while not list(cwd.rglob(file)):
+        assert process.poll() is None, process.communicate()[1]
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    time.sleep(0.5)
+    send(process.pid)
+    process.out, process.err = process.communicate(timeout=60)
+    return process
+
+
+def check_nothing_is_left(group):
+    """The system may need a moment to clear away what has ended."""
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    pytest.fail("a process has been left behind")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_ctrl_c_ends_a_run_at_once_and_in_order(case, tmp_path):
+    """A terminal sends it to the whole group."""
+    process = stop(case, tmp_path, lambda group: os.killpg(group, signal.SIGINT))
+    check_nothing_is_left(process.pid)
+    assert process.returncode == 130, process.err
+    if case != "seeds start":  # Python itself reports Ctrl-C while it still imports
+        for word in "Traceback", "KeyboardInterrupt", "Warning", "Error", "leaked":
+            assert word not in process.err + process.out, process.err
+    folder = run_folder(tmp_path)
+    expected = []
+    for file in sorted(folder.glob("seed-*/evals.csv")):
+        path, step = file.parent.relative_to(tmp_path), pd.read_csv(file)["env_step"].iloc[-1]
+        expected.append(f"return 3.0 after {step:,} steps: {path}")
+    assert re.sub(r", \d+\.\d minutes", "", process.out).splitlines() == expected
+    assert (folder / "learning_curve.png").exists() == bool(expected)
+    assert len(expected) >= {"several seeds": 3, "seeds start": 0}.get(case, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", ["SIGKILL", "SIGTERM"])
+@pytest.mark.parametrize("case", ["several seeds", "processes"])
+def test_killing_the_main_process_ends_the_others(case, number, tmp_path):
+    """Also where SIGINT is ignored, as in what a shell's script starts with `&`."""
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which processes inherit
+    try:
+        process = stop(case, tmp_path, lambda pid: os.kill(pid, getattr(signal, number)))
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    assert process.returncode == -getattr(signal, number)
+    check_nothing_is_left(process.pid)

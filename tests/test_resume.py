@@ -1,0 +1,102 @@
+"""--resume: goes on in a new folder, where the first run ended."""
+
+import json
+import shutil
+
+import pandas as pd
+import pytest
+import torch
+from conftest import only
+from harness import read_json, run, run_folder, table
+
+pytestmark = only("a2c_vector", "ppo_continuous")
+
+
+def load(folder):
+    return torch.load(folder / "checkpoint.pt", weights_only=True)
+
+
+def contents(folder):
+    return {str(x.relative_to(folder)): x.read_bytes() for x in folder.rglob("*") if x.is_file()}
+
+
+def steps(folder, name):
+    return pd.read_csv(folder / f"{name}.csv")["env_step"].tolist()
+
+
+def test_a_copied_checkpoint_goes_on_in_a_new_folder_and_nothing_else_changes(
+        script, folder, tmp_path):
+    """Other runs that lie beside or below the copy are neither drawn nor reported."""
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy / "seed-9")
+    shutil.copy(folder / "seed-3/checkpoint.pt", copy)
+    before = contents(copy)
+    options = "--total-steps", 1024, "--learning-rate", 0.5
+    process = run(script.file, "--resume", copy / "checkpoint.pt", *options, cwd=tmp_path)
+    assert contents(copy) == before
+    new = run_folder(tmp_path)
+    assert set(contents(new)) == {"args.json", "learning_curve.png"} | {
+        f"seed-3/{name}" for name in ("checkpoint.pt", "episodes.csv", "metrics.csv", "evals.csv")}
+    args = read_json(new / "args.json")
+    assert (args["total_steps"], args["learning_rate"], args["seed"]) == (1024, 0.5, [3])
+    assert args["resume"] == str(copy / "checkpoint.pt")
+    (line,) = process.out.splitlines()
+    assert "after 1,024 steps" in line
+    assert line.endswith(f"{new.relative_to(tmp_path)}/seed-3")
+
+    seed = new / "seed-3"
+    assert steps(seed, "metrics") == [128 * (i + 1) for i in range(8)]
+    assert steps(seed, "evals") == [0, 128, 256, 384, 512, 640, 768, 896, 1024]
+    for name in "episodes", "metrics", "evals":
+        old = table(folder / f"seed-3/{name}.csv")
+        pd.testing.assert_frame_equal(table(seed / f"{name}.csv").head(len(old)), old)
+    assert pd.read_csv(seed / "evals.csv")["seconds"].is_monotonic_increasing
+    assert load(seed)["optimizer"]["param_groups"][0]["lr"] == pytest.approx(0.5 / 8)
+    count = load(seed)["agent"]["obs_stats.count"]
+    assert count == 1024
+
+
+def test_a_finished_run_that_is_resumed_is_the_same_in_a_new_folder(script, folder, tmp_path):
+    run(script.file, "--resume", folder / "seed-3/checkpoint.pt", cwd=tmp_path)
+    new = run_folder(tmp_path) / "seed-3"
+    for name in "episodes", "metrics", "evals":
+        old, again = (table(x / f"{name}.csv") for x in (folder / "seed-3", new))
+        pd.testing.assert_frame_equal(old, again)
+    states = ([load(x)["agent"], load(x)["optimizer"]["state"]] for x in (folder / "seed-3", new))
+    torch.testing.assert_close(*states, rtol=0, atol=0)
+
+
+def test_training_goes_on_with_the_weights_moments_and_statistics_of_the_checkpoint(
+        script, folder, tmp_path, monkeypatch):
+    checkpoint, seen = folder / "seed-3/checkpoint.pt", []
+
+    def look(args, seed, envs, agent, optimizer, env_step):
+        seen.append([agent.state_dict(), optimizer.state_dict()["state"], env_step])
+        yield env_step, [], {}
+
+    monkeypatch.setattr(script.module, "train", look)
+    args = script.module.parse_args(["--resume", str(checkpoint)])
+    script.module.run(0, args, tmp_path)
+    saved = load(checkpoint.parent)
+    expected = [saved["agent"], saved["optimizer"]["state"], 512]
+    torch.testing.assert_close(seen, [expected], rtol=0, atol=0)
+
+
+def test_neither_noise_nor_episodes_of_the_first_part_come_again(script, folder, tmp_path):
+    """Also with another seed. Each part begins with another number of the generator."""
+    checkpoint, noise = folder / "seed-3/checkpoint.pt", []
+    for i, options in enumerate((["--env-id", script.env_id], ["--resume", str(checkpoint)],
+                                 ["--resume", str(checkpoint), "--seed", "4"])):
+        args = script.module.parse_args([*options, *script.small, "--total-steps", "513"])
+        train = script.module.train
+        try:
+            def look(*arguments, train=train):
+                noise.append(torch.rand(3).tolist())
+                yield from train(*arguments)
+
+            script.module.train = look
+            script.module.run(0, args, tmp_path)
+        finally:
+            script.module.train = train
+        assert len(noise) == i + 1
+    assert len({json.dumps(x) for x in noise}) == 3
