@@ -244,7 +244,7 @@ def parse_args(argv=None):
     add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes in a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
-    add("--learning-rate", type=number(float, 0), default=1e-2, help="of actor and critic")
+    add("--learning-rate", type=number(float, 0), default=5e-3, help="of actor and critic")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
     return check(parser, argv)
 

@@ -52,4 +52,5 @@ def test_a_checkpoint_of_a_gpu_can_be_watched_without_one(script, tmp_path):
     script.module.watch(script.module.parse_args(["--watch", str(folder / "checkpoint.pt")]))
     if script.name != "reinforce_mujoco":
         args = script.module.parse_args(["--resume", str(folder / "checkpoint.pt")])
-        script.module.run(0, args, tmp_path)
+        (tmp_path / "resumed").mkdir()
+        script.module.run(0, args, tmp_path / "resumed")
