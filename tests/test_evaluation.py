@@ -6,9 +6,21 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from harness import World, register
 
 import a2c_vector as a2c
 import ppo_continuous as ppo
+
+
+class Patient(World):
+    """Never ends by itself, but does not wait for ever to be reset."""
+
+    def reward(self, action):
+        assert self.total < 100
+        return 1.0
+
+
+register("Patient", Patient, limit=8, length=None)
 
 
 def make(script, env_id, options=""):
@@ -76,9 +88,12 @@ def test_it_does_not_depend_on_how_much_the_policy_explores():
     assert all(torch.equal(x, before[name]) for name, x in agent.state_dict().items())
 
 
-@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8), ("BothEnds", 3)])
-def test_an_episode_ends_by_itself_or_by_its_time_limit(world, length):
+@pytest.mark.parametrize(("script", "prefix"), [(ppo, ""), (a2c, "Discrete")])
+@pytest.mark.parametrize(
+    ("world", "length"),
+    [("harness:{}ThreeSteps", 3), ("test_evaluation:{}Patient", 8), ("harness:{}BothEnds", 3)])
+def test_an_episode_ends_by_itself_or_by_its_time_limit(script, prefix, world, length):
     """Reward 1 a step."""
-    envs, agent = make(ppo, f"harness:{world}-v0")
+    envs, agent = make(script, f"{world.format(prefix)}-v0")
     expected = {"return_mean": length, "return_std": 0, "length_mean": length}
-    assert ppo.evaluate(agent, envs, seed=1) == expected
+    assert script.evaluate(agent, envs, seed=1) == expected

@@ -148,14 +148,15 @@ def test_environments_that_end_at_different_steps_have_their_own_returns(script)
 
 
 @both
-def test_every_finished_episode_is_logged_once_with_its_raw_return_and_length(script, tmp_path):
+@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8)])
+def test_every_finished_episode_is_logged_once_with_raw_return(script, world, length, tmp_path):
     """5 steps in 4 environments at a time: some episodes span two rollouts."""
-    folder = script.train(tmp_path, "--rollout-steps", 5, "--total-steps", 80,
-                          env_id=script.world("ThreeSteps"))
+    options = "--rollout-steps", 5, "--total-steps", 80
+    folder = script.train(tmp_path, *options, env_id=script.world(world))
     episodes = pd.read_csv(folder / "episodes.csv")
-    ends = [4 * step for step in (3, 6, 9, 12, 15, 18) for _ in range(4)]
+    ends = [4 * step for step in range(length, 21, length) for _ in range(4)]
     assert episodes["env_step"].tolist() == ends
-    assert (episodes[["return", "length"]] == 3).all(axis=None)
+    assert (episodes[["return", "length"]] == length).all(axis=None)
 
 
 @both
