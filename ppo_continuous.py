@@ -89,7 +89,8 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         means = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Normal(means, self.log_std.exp(), validate_args=False)
+        gaussians = torch.distributions.Normal(means, self.log_std.exp(), validate_args=False)
+        return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), the expected return in scaled rewards (step 3)."""
@@ -259,7 +260,7 @@ def optimise(agent, optimizer, batch, args):
     obs, actions = batch.obs.flatten(0, 1), batch.actions.flatten(0, 1)  # (T, N, …) -> (T·N, …)
     advantages, targets = batch.advantages.flatten(), batch.targets.flatten()
     with torch.no_grad():  # no step has been taken yet, so π is still π_old
-        old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)
+        old_log_probs = agent.policy(obs).log_prob(actions)
     # How well the critic predicts its targets (R − V = A): 1 is perfect but for a constant, 0 is no
     # better than a constant, below 0 is worse.
     explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
@@ -267,7 +268,7 @@ def optimise(agent, optimizer, batch, args):
     for _ in range(args.epochs):
         for rows in torch.randperm(len(obs)).split(args.minibatch_size):
             policy = agent.policy(obs[rows])
-            log_ratio = policy.log_prob(actions[rows]).sum(-1) - old_log_probs[rows]
+            log_ratio = policy.log_prob(actions[rows]) - old_log_probs[rows]
             ratio = log_ratio.exp()
             kl = approximate_kl(log_ratio)
             A = advantages[rows]
@@ -275,7 +276,7 @@ def optimise(agent, optimizer, batch, args):
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(ratio, A, args.clip_eps)
             loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2
-            entropy = policy.entropy().sum(-1).mean()  # of the Gaussian, before squashing
+            entropy = policy.entropy().mean()  # of the Gaussian, before squashing
             log = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
                    "policy_std": policy.stddev.mean(), "approximate_kl": kl,
                    "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}

@@ -87,7 +87,8 @@ class Agent(nn.Module):
         # The floor under σ keeps π exploring and bounds the gradients: that of log π with respect
         # to μ is (a − μ)/σ², and its standard deviation is 1/σ, so 10 at most.
         std = nn.functional.softplus(raw_std) + 0.1
-        return torch.distributions.Normal(mean, std, validate_args=False)
+        gaussians = torch.distributions.Normal(mean, std, validate_args=False)
+        return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
@@ -193,12 +194,12 @@ def optimise(agent, optimizer, batch, args):
     values = agent.value(batch.obs)
     advantages = compute_advantages(batch.returns, values, args.baseline)
     policy = agent.policy(batch.obs)
-    loss_pi = policy_loss(policy.log_prob(batch.actions).sum(-1), advantages)
+    loss_pi = policy_loss(policy.log_prob(batch.actions), advantages)
     loss_v = ((values - batch.returns) ** 2).mean() / 2
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # they share no weights, so one pass serves both
     optimizer.step()
-    metrics = {"policy_loss": loss_pi, "entropy": policy.entropy().sum(-1).mean(),
+    metrics = {"policy_loss": loss_pi, "entropy": policy.entropy().mean(),
                "policy_std": policy.stddev.mean()}
     if agent.critic:
         metrics["value_loss"] = loss_v

@@ -579,7 +579,7 @@ def fit_critic(agent, batches, steps=300):
 def policy_gradients(agent, batch):
     """The estimates of one batch, (3, number of parameters); all three in units of a return."""
     values, returns = agent.value(batch.obs), batch.returns
-    log_probs = agent.policy(batch.obs).log_prob(batch.actions).sum(-1)
+    log_probs = agent.policy(batch.obs).log_prob(batch.actions)
     rows = []
     for baseline in BASELINES:
         b = values if baseline == "value" else torch.zeros_like(returns)
@@ -678,8 +678,8 @@ ABLATIONS = {
     "actions clipped, no tanh": {"torch.tanh(actions)": "actions.clamp(-1, 1)"},
     "time limits treated as deaths": {'"terminated": terminated': '"terminated": done'},
     "value loss clipped, too": {
-        "        old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)\n": """\
-        old_log_probs = agent.policy(obs).log_prob(actions).sum(-1)
+        "        old_log_probs = agent.policy(obs).log_prob(actions)\n": """\
+        old_log_probs = agent.policy(obs).log_prob(actions)
         old_values = agent.value(obs)
 """,
         "            loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2\n": """\

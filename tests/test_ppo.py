@@ -152,9 +152,9 @@ def test_the_jacobian_of_tanh_cancels_in_the_ratio():
     squashed, gaussian = [], []
     for agent in old, new:
         policy = agent.policy(obs)
-        gaussian.append(policy.log_prob(actions).sum(-1))
+        gaussian.append(policy.log_prob(actions))
         tanh_normal = TransformedDistribution(policy, [TanhTransform()])
-        squashed.append(tanh_normal.log_prob(torch.tanh(actions)).sum(-1))
+        squashed.append(tanh_normal.log_prob(torch.tanh(actions)))
     assert (squashed[0] - gaussian[0]).abs().max() > 0.1  # the densities themselves do differ
     torch.testing.assert_close(squashed[1] - squashed[0], gaussian[1] - gaussian[0])
 
@@ -170,7 +170,7 @@ def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
 
 def test_policy_loss_starts_as_the_policy_gradient():
     _, agent, batch = play()
-    log_probs = agent.policy(batch.obs).log_prob(batch.actions).sum(-1)
+    log_probs = agent.policy(batch.obs).log_prob(batch.actions)
     surrogate = ppo.policy_loss((log_probs - log_probs.detach()).exp(), batch.advantages, 0.2)
     losses = surrogate, -(batch.advantages * log_probs).mean()
     parameters = [*agent.actor.parameters(), agent.log_std]

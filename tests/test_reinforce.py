@@ -154,7 +154,7 @@ def bandit_gradients(baseline, batches=1000, B=8):
         if baseline == "mean":  # undo the division by the std; a return is 1/B of its own baseline
             advantages = advantages * (returns - returns.mean()).norm() / advantages.norm()
             advantages = advantages / (1 - 1 / B)
-        loss = rf.policy_loss(policy.log_prob(actions).sum(-1), advantages)
+        loss = rf.policy_loss(policy.log_prob(actions), advantages)
         gradients.append(-torch.autograd.grad(loss, agent.actor[-1].bias)[0])
     return torch.stack(gradients), analytic
 
@@ -230,7 +230,7 @@ def test_extreme_pre_activations_stay_finite_and_go_on_learning(mean, raw_std):
     agent.actor[-1].bias.data = torch.tensor([mean, mean, raw_std, raw_std], dtype=torch.float32)
     policy = agent.policy(torch.randn(20, 2))
     actions = policy.sample()
-    log_probs = policy.log_prob(actions).sum(-1)
+    log_probs = policy.log_prob(actions)
     (-log_probs.mean()).backward()
     assert actions.isfinite().all()
     assert log_probs.isfinite().all()
