@@ -57,12 +57,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
+import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from PIL import Image
 from torch import nn
 from tqdm import tqdm
 
@@ -78,7 +78,6 @@ class Agent(nn.Module):
         self.obs_stats = RunningStatistics(inputs)
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # nearly uniform π
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.register_buffer("low", torch.as_tensor(action_space.start))
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…,)."""
@@ -91,13 +90,10 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N,), drawn from π or the likeliest, counted from 0, and
-        the same as the environment counts them. All are NumPy arrays.
-        """
-        policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
         actions = policy.mode if deterministic else policy.sample()
-        env_actions = actions + self.low
-        return actions.cpu().numpy(), env_actions.cpu().numpy()
+        return actions.cpu().numpy()
 
 
 class RunningStatistics(nn.Module):
@@ -114,7 +110,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w is their fraction of all rows seen so far:
+        """Merge in new `rows` (B, …), a fraction w of all rows seen so far:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -140,18 +136,16 @@ def mlp(inputs, hidden, outputs, output_gain):
 
 
 def rollout(envs, agent, obs, args, env_step):
-    """Step 2: T steps in each environment, starting from the observations `obs` (N, D).
+    """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
-    a row for each episode that ended. `env_step` is the number of steps taken before.
-
-    `next_obs` is always the observation that followed the action, also at the end of an episode. So
-    the environments must not reset themselves; here finished ones are, and `obs` starts an episode.
+    Returns the transitions, tensors (T, N, …); the observations to go on from; and a row for each
+    episode that ended. The environments do not reset themselves, so `next_obs` is always what
+    followed the action, also at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
-        actions, env_actions = agent.act(obs)
-        next_obs, rewards, terminated, truncated, infos = envs.step(env_actions)
+        actions = agent.act(obs)
+        next_obs, rewards, terminated, truncated, infos = envs.step(actions)
         done = terminated | truncated
         steps.append({"obs": obs, "actions": actions, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
@@ -160,9 +154,8 @@ def rollout(envs, agent, obs, args, env_step):
             episodes.append({"env_step": env_step, "return": float(infos["episode"]["r"][i]),
                              "length": int(infos["episode"]["l"][i])})
         obs = envs.reset(options={"reset_mask": done})[0] if done.any() else next_obs
-    columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
-    batch = SimpleNamespace(**{name: torch.as_tensor(x, dtype=torch.float32, device=args.device)
-                               for name, x in columns.items()})
+    batch = torch.utils.data.default_collate(steps)  # stacks the arrays of each name
+    batch = SimpleNamespace(**{name: x.float().to(args.device) for name, x in batch.items()})
     return batch, obs, episodes
 
 
@@ -173,16 +166,15 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
-    stands for all others: the estimate varies little, but inherits the critic's errors (bias).
-    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all
-    rewards up to the next boundary: less bias, but also the luck of all these actions (variance).
+    λ trades bias for variance. With λ = 0, A_t = δ_t contains one reward, and the critic stands for
+    all others: the estimate varies little, but inherits the critic's errors (bias). With λ = 1 the
+    values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all rewards up to the
+    next boundary: less bias, but also the luck of all these actions (variance).
 
-    The sum ends at the first of three boundaries:
+    At a boundary the sum ends, because A_{t+1} is of another episode or not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
-    In none of these cases does A_{t+1} count: it is of another episode, or not known.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -213,26 +205,21 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # How well the critic predicts its targets (R − V = A): 1 is perfect but for a constant, 0 is no
-    # better than a constant, below 0 is worse.
-    explained_variance = 1 - batch.advantages.var(correction=0) / batch.targets.var(correction=0)
     # The mean is one more baseline; the division gives A the same scale in all tasks.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
+    errors = batch.targets - agent.value(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
-    loss_v = ((agent.value(batch.obs) - batch.targets) ** 2).mean() / 2
+    loss_v = (errors**2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - args.entropy_coef * entropy).backward()
-    # The networks share no weights, so each gradient can be clipped by itself.
-    actor_norm = nn.utils.clip_grad_norm_(
-        agent.actor.parameters(), args.max_grad_norm, error_if_nonfinite=True)
-    critic_norm = nn.utils.clip_grad_norm_(
-        agent.critic.parameters(), args.max_grad_norm, error_if_nonfinite=True)
+    for network in agent.actor, agent.critic:  # they share no weights, so each is clipped by itself
+        nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm, error_if_nonfinite=True)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               "explained_variance": explained_variance, "actor_gradient_norm": actor_norm,
-               "critic_gradient_norm": critic_norm}
+               # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
+               "explained_variance": 1 - errors.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
 
@@ -249,12 +236,12 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields once before the first update and once after each: the steps so far, a row for each
-    episode that has ended since, and diagnostics of the update.
+    Yields once before the first update and once after each: the steps so far, and new rows for the
+    tables of episodes and of metrics.
     """
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
-    yield env_step, [], {}
+    yield env_step, [], []
     while env_step < args.total_steps:
         # Step 1: anneal the learning rates.
         remaining = 1 - env_step / args.total_steps
@@ -272,11 +259,10 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         metrics = optimise(agent, optimizer, batch, args)
-        # Step 6: update the statistics of observations last, because the rollout and its
-        # update must normalise them in the same way.
+        # Step 6: update the statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
-        yield env_step, episodes, metrics
+        yield env_step, episodes, [{"env_step": env_step, **metrics}]
 
 
 # --- Domain randomization -------------------------------------------------------------------------
@@ -351,10 +337,9 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments that are stepped together.
+    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
 
-    Those without a time limit get one of 10,000 steps. NaN, infinity, or a number too large for
-    float32 in an observation or a reward raises a ValueError.
+    NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
     wrappers = [*wrappers,
                 lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
@@ -367,9 +352,9 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and purpose (stream).
+    """Integers that are independent for every seed and stream.
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
+    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -380,8 +365,7 @@ def evaluate(agent, envs, seed):
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
     while playing.any():  # an environment that has finished runs on, but no longer counts
-        _, env_actions = agent.act(obs, deterministic=True)
-        obs, rewards, terminated, truncated, _ = envs.step(env_actions)
+        obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
         playing &= ~(terminated | truncated)
@@ -395,15 +379,13 @@ def watch(args):
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    result = evaluate(agent, envs, args.seed[0])
-    print(f"return {result['return_mean']:.1f} +- {result['return_std']:.1f}")
+    print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
     if "rgb_array" in envs.metadata["render_modes"]:
         camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, camera, args.seed[0])
         frames = camera.render()[0]
-        images = [Image.fromarray(frame) for frame in frames[:: len(frames) // 200 + 1]]
-        images[0].save(Path(args.watch).with_suffix(".gif"), save_all=True, loop=0,
-                       append_images=images[1:], duration=50)  # ten seconds at most
+        frames = frames[:: len(frames) // 200 + 1]  # ten seconds at most
+        imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
 
 
 def run(index, args, folder):
@@ -434,8 +416,7 @@ def run(index, args, folder):
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
             seconds += time.perf_counter() - start
             tables["episodes"] += episodes
-            if metrics:
-                tables["metrics"].append({"env_step": env_step, **metrics})
+            tables["metrics"] += metrics
             bar.update(min(env_step, args.total_steps) - bar.n)
             if env_step >= evals_due[0]:
                 evals_due = evals_due[evals_due > env_step]
@@ -463,58 +444,52 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is the mean over the seeds, its band reaches from the lowest to the highest, and a point
-    averages a fiftieth of the run.
+    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     if not files:
         return
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
+    results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
+    print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
-    data = data.groupby(["env_step", "seed"]).mean().reset_index()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
-        ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
-        ["entropy", "actor_gradient_norm", "critic_gradient_norm"]], height_ratios=(3, 1, 1))
+        ["return"] * 4, ["policy_loss", "value_loss", "explained_variance", "entropy"]],
+        height_ratios=(3, 1))
     threshold = gym.make(env_id).spec.reward_threshold
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
-    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
-    for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
-                     ax=panels[name.removesuffix("_mean")])
+    for name in data.columns.intersection(panels):
+        sns.lineplot(data, x="env_step", y=name, errorbar="sd", ax=panels[name])
+    sns.lineplot(data, x="env_step", y="return_mean", errorbar="sd", ax=panels["return"],
+                 label="evaluation: deterministic actions")
     figure.savefig(folder / "learning_curve.png")
-    for file in sorted(folder.glob("seed-*/evals.csv")):
-        last = pd.read_csv(file).iloc[-1]
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {file.parent}")
 
 
 def check(parser, argv):
     """Options given here override those of a checkpoint (but its device), those the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
             args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
         env = gym.make(args.env_id)
-        obs_space = env.observation_space
-        fits = isinstance(obs_space, gym.spaces.Box) and len(obs_space.shape) == 1
-        if not fits or not isinstance(env.action_space, gym.spaces.Discrete):
-            parser.error("argument --env-id: takes flat Box observations and Discrete actions")
+        spaces = env.observation_space, env.action_space
+        fits = isinstance(spaces[0], gym.spaces.Box) and len(spaces[0].shape) == 1
+        if not fits or spaces[1] != gym.spaces.Discrete(gym.spaces.flatdim(spaces[1])):
+            parser.error("argument --env-id: takes flat Box observations, Discrete actions from 0")
         if args.vectorization == "async" and len(args.seed) > 1:
             parser.error("argument --vectorization: async takes one seed")
         if args.randomize and not hasattr(env.unwrapped, "turbulence_power"):
             parser.error("argument --randomize: takes LunarLander")
-    except expected as error:
+    except (Exception if path else (gym.error.Error, ImportError, ValueError)) as error:
         parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 
 def main():
-    sys.path.append(os.getcwd())  # where my_module of my_module:MyEnv-v0 may be
     args = parse_args()
     if args.watch:
         return watch(args)

@@ -57,12 +57,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
+import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from PIL import Image
 from torch import nn
 from tqdm import tqdm
 
@@ -70,10 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics for their scales.
-
-    σ (K,) is the same in all states, and learned like a weight.
-    """
+    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics for their scales."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -82,9 +79,7 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))
-        self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
-        self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
+        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))  # the same for all s
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -98,16 +93,19 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, K), drawn from π or its mean, and the same squashed by
-        tanh into the range that the environment accepts. All are NumPy arrays.
-
-        Squashing counts as a part of the environment: π is the density of the unsquashed action,
-        so neither log π nor ρ needs a correction.
-        """
-        policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
         actions = policy.mode if deterministic else policy.sample()
-        env_actions = torch.lerp(self.low, self.high, (torch.tanh(actions) + 1) / 2)
-        return actions.cpu().numpy(), env_actions.cpu().numpy()
+        return actions.cpu().numpy()
+
+
+def squash(actions, space):
+    """Unbounded actions (N, K) -> (N, K) within the bounds of the environment's action space.
+
+    It counts as a part of the environment (`make_envs` puts it there): π is the density of the
+    unbounded action, so neither log π nor ρ needs a correction.
+    """
+    return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
 class RunningStatistics(nn.Module):
@@ -124,7 +122,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w is their fraction of all rows seen so far:
+        """Merge in new `rows` (B, …), a fraction w of all rows seen so far:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -150,18 +148,16 @@ def mlp(inputs, hidden, outputs, output_gain):
 
 
 def rollout(envs, agent, obs, args, env_step):
-    """Step 2: T steps in each environment, starting from the observations `obs` (N, D).
+    """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, a namespace of tensors (T, N, …); the observations to go on from; and
-    a row for each episode that ended. `env_step` is the number of steps taken before.
-
-    `next_obs` is always the observation that followed the action, also at the end of an episode. So
-    the environments must not reset themselves; here finished ones are, and `obs` starts an episode.
+    Returns the transitions, tensors (T, N, …); the observations to go on from; and a row for each
+    episode that ended. The environments do not reset themselves, so `next_obs` is always what
+    followed the action, also at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
-        actions, env_actions = agent.act(obs)
-        next_obs, rewards, terminated, truncated, infos = envs.step(env_actions)
+        actions = agent.act(obs)
+        next_obs, rewards, terminated, truncated, infos = envs.step(actions)
         done = terminated | truncated
         steps.append({"obs": obs, "actions": actions, "rewards": rewards, "next_obs": next_obs,
                       "terminated": terminated, "done": done})
@@ -170,22 +166,20 @@ def rollout(envs, agent, obs, args, env_step):
             episodes.append({"env_step": env_step, "return": float(infos["episode"]["r"][i]),
                              "length": int(infos["episode"]["l"][i])})
         obs = envs.reset(options={"reset_mask": done})[0] if done.any() else next_obs
-    columns = {name: np.array([step[name] for step in steps]) for name in steps[0]}
-    batch = SimpleNamespace(**{name: torch.as_tensor(x, dtype=torch.float32, device=args.device)
-                               for name, x in columns.items()})
+    batch = torch.utils.data.default_collate(steps)  # stacks the arrays of each name
+    batch = SimpleNamespace(**{name: x.float().to(args.device) for name, x in batch.items()})
     return batch, obs, episodes
 
 
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    A critic's targets should vary by about 1, whatever the unit of the rewards. We want to divide
-    by the spread of the returns, but a return lies in the future. F discounts past rewards in the
-    same way, so it has a similar spread, and it is known at every step:
+    A critic learns best if its targets vary by about 1, whatever the unit of the rewards. We want
+    to divide by the spread of the returns, but a return lies in the future. F discounts past
+    rewards in the same way, so it has a similar spread, and it is known at every step:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    Rewards are not centred: a constant reward of 1, "you have not fallen", would become 0.
     `past_return` (N,) is F where the previous rollout ended. Returns the rewards and the new F.
     """
     past_returns = torch.empty_like(rewards)
@@ -203,16 +197,15 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    λ trades bias for variance. With λ = 0, A_t = δ_t contains a single reward, and the critic
-    stands for all others: the estimate varies little, but inherits the critic's errors (bias).
-    With λ = 1 the values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all
-    rewards up to the next boundary: less bias, but also the luck of all these actions (variance).
+    λ trades bias for variance. With λ = 0, A_t = δ_t contains one reward, and the critic stands for
+    all others: the estimate varies little, but inherits the critic's errors (bias). With λ = 1 the
+    values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all rewards up to the
+    next boundary: less bias, but also the luck of all these actions (variance).
 
-    The sum ends at the first of three boundaries:
+    At a boundary the sum ends, because A_{t+1} is of another episode or not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
-    In none of these cases does A_{t+1} count: it is of another episode, or not known.
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -235,12 +228,12 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
-    So the surrogate objective mean(ρ·A) has the gradient we want at π = π_old. Further away it is
-    only an approximation, because the states and the advantages remain those of π_old; so the clip
-    takes away the incentive to go far. Once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a
-    sample has no gradient. Where ρ has moved the wrong way, min selects the unclipped term, which
-    leads back. Other samples may still push ρ further out; that is what max_kl is for.
+    As usual γ^t is left out, to give late steps the same weight as early ones. So the surrogate
+    objective mean(ρ·A) has the gradient we want at π = π_old. Further away it is an approximation,
+    because states and advantages remain those of π_old; so the clip takes away the incentive to go
+    far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where ρ has
+    moved the wrong way, min selects the unclipped term, which leads back. Other samples may still
+    push ρ further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -249,46 +242,46 @@ def policy_loss(ratio, advantages, clip_eps):
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
-    E_old averages over actions drawn from π_old. Adding ρ − 1 does not change it, as E_old[ρ] =
-    ∫ π da = 1, but leaves no term negative and takes away most of the noise of the estimate.
+    Adding ρ − 1 does not change the mean, as E_old[ρ] = ∫ π_old·(π/π_old) da = 1, but leaves no
+    term negative and takes away most of the noise of the estimate.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but exact near 0
 
 
 def optimise(agent, optimizer, batch, args):
-    """Step 5: epochs of minibatches, each a step of Adam. Returns diagnostics, to be averaged."""
-    obs, actions = batch.obs.flatten(0, 1), batch.actions.flatten(0, 1)  # (T, N, …) -> (T·N, …)
-    advantages, targets = batch.advantages.flatten(), batch.targets.flatten()
-    with torch.no_grad():  # no step has been taken yet, so π is still π_old
-        old_log_probs = agent.policy(obs).log_prob(actions)
-    # How well the critic predicts its targets (R − V = A): 1 is perfect but for a constant, 0 is no
-    # better than a constant, below 0 is worse.
-    explained_variance = 1 - advantages.var(correction=0) / targets.var(correction=0)
-    logs = [{"explained_variance": explained_variance.item()}]
+    """Step 5: epochs of shuffled minibatches, each a step of Adam; all of `batch` is (T·N, …)."""
     for _ in range(args.epochs):
-        for rows in torch.randperm(len(obs)).split(args.minibatch_size):
-            policy = agent.policy(obs[rows])
-            log_ratio = policy.log_prob(actions[rows]) - old_log_probs[rows]
-            ratio = log_ratio.exp()
-            kl = approximate_kl(log_ratio)
-            A = advantages[rows]
+        for rows in torch.randperm(len(batch.obs)).split(args.minibatch_size):
+            policy = agent.policy(batch.obs[rows])
+            log_ratio = policy.log_prob(batch.actions[rows]) - batch.log_probs[rows]
+            if approximate_kl(log_ratio) > args.max_kl:
+                return  # far enough; the steps so far stay
+            A = batch.advantages[rows]
             # The mean is one more baseline; the division gives A the same scale in all tasks.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
-            loss_pi = policy_loss(ratio, A, args.clip_eps)
-            loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2
-            entropy = policy.entropy().mean()  # of the Gaussian, before squashing
-            log = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-                   "policy_std": policy.stddev.mean(), "approximate_kl": kl,
-                   "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
-            logs.append({name: x.item() for name, x in log.items()})
-            if kl > args.max_kl:  # far enough; the steps so far stay
-                return logs
+            loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
+            loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
             optimizer.zero_grad()
-            (loss_pi + loss_v - args.entropy_coef * entropy).backward()
-            logs[-1]["gradient_norm"] = nn.utils.clip_grad_norm_(
-                agent.parameters(), args.max_grad_norm, error_if_nonfinite=True).item()
+            (loss_pi + loss_v).backward()  # they share no weights, so one pass serves both
+            nn.utils.clip_grad_norm_(
+                agent.parameters(), args.max_grad_norm, error_if_nonfinite=True)
             optimizer.step()
-    return logs
+
+
+@torch.no_grad()
+def diagnose(agent, batch, args):
+    """What to look at if training fails: how far the update went, how good the critic was."""
+    policy = agent.policy(batch.obs)
+    log_ratio = policy.log_prob(batch.actions) - batch.log_probs
+    ratio = log_ratio.exp()
+    errors = batch.targets - batch.values  # of the critic before the update
+    metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
+               "value_loss": (errors**2).mean() / 2,
+               # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
+               "explained_variance": 1 - errors.var() / batch.targets.var(),
+               "policy_std": policy.stddev.mean(), "approximate_kl": approximate_kl(log_ratio),
+               "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
+    return {name: x.item() for name, x in metrics.items()}
 
 
 def make_optimizer(agent):
@@ -305,13 +298,13 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields once before the first update and once after each: the steps so far, a row for each
-    episode that has ended since, and diagnostics of the update.
+    Yields once before the first update and once after each: the steps so far, and new rows for the
+    tables of episodes and of metrics.
     """
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return = 0.0
-    yield env_step, [], {}
+    yield env_step, [], []
     while env_step < args.total_steps:
         # Step 1: anneal the learning rates.
         remaining = 1 - env_step / args.total_steps
@@ -322,19 +315,21 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 3: scale the rewards.
         batch.rewards, past_return = scale_rewards(
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
-        # Step 4: estimate advantages and targets, which are constants for the losses.
+        # Step 4: estimate advantages and targets; for the losses they are constants.
         with torch.no_grad():
-            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
-        batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
+            batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)
+            batch.values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+        batch.advantages = compute_gae(batch.rewards, batch.values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
-        batch.targets = batch.advantages + values
+        batch.targets = batch.advantages + batch.values
         # Step 5: update actor and critic.
-        logs = optimise(agent, optimizer, batch, args)
-        # Step 6: update the statistics of observations last, because the rollout and its
-        # update must normalise them in the same way.
-        agent.obs_stats.update(batch.obs.flatten(0, 1))
-        env_step += batch.rewards.numel()  # T·N
-        yield env_step, episodes, pd.DataFrame(logs).mean().to_dict()
+        batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
+        optimise(agent, optimizer, batch, args)
+        metrics = diagnose(agent, batch, args)
+        # Step 6: update the statistics last, as steps 2 to 5 must normalise in the same way.
+        agent.obs_stats.update(batch.obs)
+        env_step += len(batch.obs)  # T·N
+        yield env_step, episodes, [{"env_step": env_step, **metrics}]
 
 
 # --- Options --------------------------------------------------------------------------------------
@@ -367,7 +362,6 @@ def parse_args(argv=None):
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
-    add("--entropy-coef", type=number(float, 0), default=0.0, help="weight of the entropy bonus")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--log-std", type=number(float, -10, 2), default=-0.5, help="log sigma before training")
@@ -392,24 +386,24 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together.
+    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
 
-    Those without a time limit get one of 10,000 steps. NaN, infinity, or a number too large for
-    float32 in an observation or a reward raises a ValueError.
+    NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
     envs = gym.make_vec(
         env_id, count, "sync", {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
+    envs = gym.wrappers.vector.TransformAction(envs, partial(squash, space=envs.action_space))
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
     return gym.wrappers.vector.TransformObservation(envs, check_finite)
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and purpose (stream).
+    """Integers that are independent for every seed and stream.
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
+    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -420,8 +414,7 @@ def evaluate(agent, envs, seed):
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
     while playing.any():  # an environment that has finished runs on, but no longer counts
-        _, env_actions = agent.act(obs, deterministic=True)
-        obs, rewards, terminated, truncated, _ = envs.step(env_actions)
+        obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
         playing &= ~(terminated | truncated)
@@ -435,15 +428,13 @@ def watch(args):
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    result = evaluate(agent, envs, args.seed[0])
-    print(f"return {result['return_mean']:.1f} +- {result['return_std']:.1f}")
+    print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
     if "rgb_array" in envs.metadata["render_modes"]:
         camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, camera, args.seed[0])
         frames = camera.render()[0]
-        images = [Image.fromarray(frame) for frame in frames[:: len(frames) // 200 + 1]]
-        images[0].save(Path(args.watch).with_suffix(".gif"), save_all=True, loop=0,
-                       append_images=images[1:], duration=50)  # ten seconds at most
+        frames = frames[:: len(frames) // 200 + 1]  # ten seconds at most
+        imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
 
 
 def run(index, args, folder):
@@ -473,8 +464,7 @@ def run(index, args, folder):
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
             seconds += time.perf_counter() - start
             tables["episodes"] += episodes
-            if metrics:
-                tables["metrics"].append({"env_step": env_step, **metrics})
+            tables["metrics"] += metrics
             bar.update(min(env_step, args.total_steps) - bar.n)
             if env_step >= evals_due[0]:
                 evals_due = evals_due[evals_due > env_step]
@@ -502,38 +492,33 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is the mean over the seeds, its band reaches from the lowest to the highest, and a point
-    averages a fiftieth of the run.
+    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     if not files:
         return
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
+    results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
+    print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
-    data = data.groupby(["env_step", "seed"]).mean().reset_index()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
-        ["return"] * 4, ["policy_loss", "value_loss", "explained_variance", "gradient_norm"],
-        ["entropy", "policy_std", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
+        ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
+        ["policy_std", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
     threshold = gym.make(env_id).spec.reward_threshold
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
-    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
-    for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
-                     ax=panels[name.removesuffix("_mean")])
+    for name in data.columns.intersection(panels):
+        sns.lineplot(data, x="env_step", y=name, errorbar="sd", ax=panels[name])
+    sns.lineplot(data, x="env_step", y="return_mean", errorbar="sd", ax=panels["return"],
+                 label="evaluation: deterministic actions")
     figure.savefig(folder / "learning_curve.png")
-    for file in sorted(folder.glob("seed-*/evals.csv")):
-        last = pd.read_csv(file).iloc[-1]
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {file.parent}")
 
 
 def check(parser, argv):
     """Options given here override those of a checkpoint (but its device), those the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
@@ -543,13 +528,12 @@ def check(parser, argv):
         fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
         if not fits or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
             parser.error("argument --env-id: takes flat Box observations, bounded Box actions")
-    except expected as error:
+    except (Exception if path else (gym.error.Error, ImportError, ValueError)) as error:
         parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 
 def main():
-    sys.path.append(os.getcwd())  # where my_module of my_module:MyEnv-v0 may be
     args = parse_args()
     if args.watch:
         return watch(args)

@@ -53,12 +53,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import gymnasium as gym
+import imageio.v3 as imageio
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from PIL import Image
 from torch import nn
 from tqdm import tqdm
 
@@ -74,12 +74,8 @@ class Agent(nn.Module):
         self.actor = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(),
                                    nn.Linear(32, 2 * outputs))
         nn.init.normal_(self.actor[-1].weight, std=0.01)  # at first μ and σ hardly depend on s
-        self.critic = None
-        if args.baseline == "value":
-            self.critic = nn.Sequential(
-                nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
-        self.register_buffer("low", torch.as_tensor(action_space.low, dtype=torch.float32))
-        self.register_buffer("high", torch.as_tensor(action_space.high, dtype=torch.float32))
+        self.critic = nn.Sequential(
+            nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -91,22 +87,15 @@ class Agent(nn.Module):
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
-        """Observations (…, D) -> V(s) (…,), or 0 if there is no critic."""
-        if self.critic is None:
-            return torch.zeros_like(obs[..., 0])
+        """Observations (…, D) -> V(s) (…,)."""
         return self.critic(obs).squeeze(-1)
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, K), drawn from π or its mean, and the same clipped to
-        the range that the environment accepts. All are NumPy arrays.
-
-        Clipping counts as a part of the environment: π is the density of the unclipped action.
-        """
-        policy = self.policy(torch.as_tensor(obs, dtype=torch.float32, device=self.low.device))
+        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
         actions = policy.mode if deterministic else policy.sample()
-        env_actions = actions.clamp(self.low, self.high)
-        return actions.cpu().numpy(), env_actions.cpu().numpy()
+        return actions.cpu().numpy()
 
 
 # --- The steps ------------------------------------------------------------------------------------
@@ -118,29 +107,25 @@ def rollout(envs, agent, args, env_step):
     Returns the batch, a namespace of tensors, obs (B, D), actions (B, K) and returns (B,); and a
     row for each episode. `env_step` is the number of steps taken before.
     """
-    batch = SimpleNamespace(obs=[], actions=[], returns=[])
-    episodes = []
+    steps, returns, episodes = [], [], []
     for _ in range(args.batch_episodes):
         obs, _ = envs.reset()
-        rewards = []
-        done = False
+        rewards, done = [], False
         while not done:
-            actions, env_actions = agent.act(obs)
-            batch.obs.append(obs[0])
-            batch.actions.append(actions[0])
-            obs, reward, terminated, truncated, infos = envs.step(env_actions)
+            actions = agent.act(obs)
+            steps.append({"obs": obs[0], "actions": actions[0]})
+            obs, reward, terminated, truncated, _ = envs.step(actions)
             rewards.append(reward.item())
             done = terminated.item() or truncated.item()
-        env_step += len(rewards)
-        # At a terminal state no reward can follow. At a time limit, V(s_T) stands for the rewards
-        # that could have followed [3]; without a critic they count as 0.
+        # At a terminal state no reward can follow. At a time limit, V stands for the rewards that
+        # could have followed [3].
         last_value = 0.0 if terminated else agent.value(torch.as_tensor(obs).to(args.device)).item()
-        batch.returns += discounted_returns(rewards, last_value, args.gamma)
-        episodes.append({"env_step": env_step, "return": float(infos["episode"]["r"][0]),
-                         "length": int(infos["episode"]["l"][0])})
-    batch = SimpleNamespace(**{
-        name: torch.as_tensor(np.array(rows), dtype=torch.float32, device=args.device)
-        for name, rows in vars(batch).items()})
+        returns += discounted_returns(rewards, last_value, args.gamma)
+        env_step += len(rewards)
+        episodes.append({"env_step": env_step, "return": sum(rewards), "length": len(rewards)})
+    batch = torch.utils.data.default_collate(steps)  # stacks the arrays of each name
+    batch["returns"] = torch.tensor(returns)
+    batch = SimpleNamespace(**{name: x.float().to(args.device) for name, x in batch.items()})
     return batch, episodes
 
 
@@ -199,27 +184,19 @@ def optimise(agent, optimizer, batch, args):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # they share no weights, so one pass serves both
     optimizer.step()
-    metrics = {"policy_loss": loss_pi, "entropy": policy.entropy().mean(),
-               "policy_std": policy.stddev.mean()}
-    if agent.critic:
-        metrics["value_loss"] = loss_v
+    metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "policy_std": policy.stddev.mean()}
     return {name: x.item() for name, x in metrics.items()}
-
-
-def make_optimizer(agent):
-    """Adam with its usual settings; `train` sets the learning rate."""
-    return torch.optim.Adam(agent.parameters())
 
 
 def train(args, seed, envs, agent, optimizer):
     """The algorithm.
 
-    Yields once before the first update and once after each: the steps so far, a row for each
-    episode that has ended since, and diagnostics of the update.
+    Yields once before the first update and once after each: the steps so far, and new rows for the
+    tables of episodes and of metrics.
     """
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
-    yield env_step, [], {}
+    yield env_step, [], []
     while env_step < args.total_steps:
         # Step 1: anneal the learning rate.
         optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
@@ -228,7 +205,7 @@ def train(args, seed, envs, agent, optimizer):
         # Steps 4 and 5: compute advantages, update the networks.
         metrics = optimise(agent, optimizer, batch, args)
         env_step += len(batch.obs)
-        yield env_step, episodes, metrics
+        yield env_step, episodes, [{"env_step": env_step, **metrics}]
 
 
 # --- Options --------------------------------------------------------------------------------------
@@ -275,13 +252,12 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together.
+    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
 
-    Those without a time limit get one of 10,000 steps. NaN, infinity, or a number too large for
-    float32 in an observation or a reward raises a ValueError.
+    NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
-                gym.wrappers.RecordEpisodeStatistics]
+                gym.wrappers.ClipAction]
     envs = gym.make_vec(
         env_id, count, "sync", {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
@@ -290,9 +266,9 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and purpose (stream).
+    """Integers that are independent for every seed and stream.
 
-    Stream 0: weights and actions, 1: evaluations, 2 + k: what starts at step k of training.
+    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -303,8 +279,7 @@ def evaluate(agent, envs, seed):
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
     while playing.any():  # an environment that has finished runs on, but no longer counts
-        _, env_actions = agent.act(obs, deterministic=True)
-        obs, rewards, terminated, truncated, _ = envs.step(env_actions)
+        obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
         playing &= ~(terminated | truncated)
@@ -318,15 +293,13 @@ def watch(args):
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    result = evaluate(agent, envs, args.seed[0])
-    print(f"return {result['return_mean']:.1f} +- {result['return_std']:.1f}")
+    print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
     if "rgb_array" in envs.metadata["render_modes"]:
         camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, camera, args.seed[0])
         frames = camera.render()[0]
-        images = [Image.fromarray(frame) for frame in frames[:: len(frames) // 200 + 1]]
-        images[0].save(Path(args.watch).with_suffix(".gif"), save_all=True, loop=0,
-                       append_images=images[1:], duration=50)  # ten seconds at most
+        frames = frames[:: len(frames) // 200 + 1]  # ten seconds at most
+        imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
 
 
 def run(index, args, folder):
@@ -339,7 +312,7 @@ def run(index, args, folder):
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    optimizer = make_optimizer(agent)
+    optimizer = torch.optim.Adam(agent.parameters())
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
@@ -349,8 +322,7 @@ def run(index, args, folder):
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
             seconds += time.perf_counter() - start
             tables["episodes"] += episodes
-            if metrics:
-                tables["metrics"].append({"env_step": env_step, **metrics})
+            tables["metrics"] += metrics
             bar.update(min(env_step, args.total_steps) - bar.n)
             if env_step >= evals_due[0]:
                 evals_due = evals_due[evals_due > env_step]
@@ -378,38 +350,32 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is the mean over the seeds, its band reaches from the lowest to the highest, and a point
-    averages a fiftieth of the run.
+    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     if not files:
         return
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
+    results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
+    print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
-    data = data.groupby(["env_step", "seed"]).mean().reset_index()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
-        ["return"] * 4, ["policy_loss", "value_loss", "entropy", "policy_std"]],
-        height_ratios=(3, 1))
+        ["return"] * 3, ["policy_loss", "value_loss", "policy_std"]], height_ratios=(3, 1))
     threshold = gym.make(env_id).spec.reward_threshold
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
-    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
-    for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
-                     ax=panels[name.removesuffix("_mean")])
+    for name in data.columns.intersection(panels):
+        sns.lineplot(data, x="env_step", y=name, errorbar="sd", ax=panels[name])
+    sns.lineplot(data, x="env_step", y="return_mean", errorbar="sd", ax=panels["return"],
+                 label="evaluation: deterministic actions")
     figure.savefig(folder / "learning_curve.png")
-    for file in sorted(folder.glob("seed-*/evals.csv")):
-        last = pd.read_csv(file).iloc[-1]
-        print(f"return {last['return_mean']:.1f} after {last['env_step']:,.0f} steps, "
-              f"{last['seconds'] / 60:.1f} minutes: {file.parent}")
 
 
 def check(parser, argv):
     """Options given here override those of a checkpoint, those the defaults."""
     args = parser.parse_args(argv)
     path = args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
@@ -419,13 +385,12 @@ def check(parser, argv):
         fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
         if not fits or env.action_space.dtype.kind != "f":
             parser.error("argument --env-id: takes flat Box observations and flat Box actions")
-    except expected as error:
+    except (Exception if path else (gym.error.Error, ImportError, ValueError)) as error:
         parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 
 
 def main():
-    sys.path.append(os.getcwd())  # where my_module of my_module:MyEnv-v0 may be
     args = parse_args()
     if args.watch:
         return watch(args)
