@@ -1,7 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
 # dependencies = ["torch>=2.6,<2.14", "gymnasium[box2d]>=1.4,<1.5",
-#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "pillow>=10",
+#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28",
 #     "tqdm>=4.66"]
 # ///
 """A2C: synchronous advantage actor-critic for discrete actions, in one file.
@@ -447,9 +447,10 @@ def report(folder, env_id):
     A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
-    if not files:
+    tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
+    if not tables:
         return
-    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
+    data = pd.concat(tables, ignore_index=True)
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
@@ -460,10 +461,10 @@ def report(folder, env_id):
         height_ratios=(3, 1))
     threshold = gym.make(env_id).spec.reward_threshold
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
-    for name in data.columns.intersection(panels):
-        sns.lineplot(data, x="env_step", y=name, errorbar="sd", ax=panels[name])
-    sns.lineplot(data, x="env_step", y="return_mean", errorbar="sd", ax=panels["return"],
-                 label="evaluation: deterministic actions")
+    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
+    for name in data.columns.intersection([*panels, *labels]):
+        sns.lineplot(data, x="env_step", y=name, errorbar="sd", label=labels.get(name),
+                     ax=panels[name.removesuffix("_mean")])
     figure.savefig(folder / "learning_curve.png")
 
 
@@ -471,6 +472,7 @@ def check(parser, argv):
     """Options given here override those of a checkpoint (but its device), those the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
+    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
     try:
         if path:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
@@ -484,7 +486,7 @@ def check(parser, argv):
             parser.error("argument --vectorization: async takes one seed")
         if args.randomize and not hasattr(env.unwrapped, "turbulence_power"):
             parser.error("argument --randomize: takes LunarLander")
-    except (Exception if path else (gym.error.Error, ImportError, ValueError)) as error:
+    except expected as error:
         parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
     return args
 

@@ -51,6 +51,13 @@ def run_folder(cwd):
     return folder
 
 
+def results(process):
+    """The table that a run prints: a row for each seed, by its name."""
+    _, columns, _, *rows = process.out.splitlines()
+    rows = {name: numbers for name, *numbers in map(str.split, rows)}
+    return pd.DataFrame.from_dict(rows, "index", float, columns.split())
+
+
 def table(path):
     """A CSV file without the column that no seed determines."""
     return pd.read_csv(path).drop(columns="seconds", errors="ignore")
@@ -95,6 +102,13 @@ class World(gym.Env):
         return 1.0
 
 
+class Timeless(World):
+    """Does not show when its episodes end."""
+
+    def observe(self):
+        return np.float32([self.episode, 0])
+
+
 class Target(World):
     """One step; the best action is TARGET, its reward 0."""
 
@@ -103,8 +117,8 @@ class Target(World):
 
 
 def register(name, world=World, limit=None, **kwargs):
-    """Register a world twice: name-v0, and Discretename-v0 with the actions 1, 2 and 3."""
-    for prefix, actions in ("", ACTIONS), ("Discrete", Discrete(3, start=1)):
+    """Register a world twice: name-v0, and Discretename-v0 with the actions 0, 1 and 2."""
+    for prefix, actions in ("", ACTIONS), ("Discrete", Discrete(3)):
         if f"{prefix}{name}-v0" not in gym.registry:
             settings = {"actions": actions, **kwargs}
             gym.register(f"{prefix}{name}-v0", world, max_episode_steps=limit, kwargs=settings)
@@ -113,4 +127,5 @@ def register(name, world=World, limit=None, **kwargs):
 register("ThreeSteps")
 register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
+register("Timeless", Timeless, limit=8, length=None)
 register("Target", Target, length=1)

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from harness import World, register
+from harness import ACTIONS, World, register
 
 import a2c_vector as a2c
 import ppo_continuous as ppo
@@ -35,8 +35,8 @@ def make(script, env_id, options=""):
 
 def squashed_mean(agent, obs):
     """tanh of μ(s), −1 at the lowest action and 1 at the highest."""
-    mean = agent.actor(agent.obs_stats.normalise(obs))
-    return (agent.low + (agent.high - agent.low) * (torch.tanh(mean) + 1) / 2).numpy()
+    mean = agent.actor(agent.obs_stats.normalise(obs)).numpy()
+    return ACTIONS.low + (ACTIONS.high - ACTIONS.low) * (np.tanh(mean) + 1) / 2
 
 
 def likeliest(agent, obs):

@@ -1,7 +1,6 @@
 """Ctrl-C, kill, kill -9: a run ends at once, keeps what was saved, and leaves no process behind."""
 
 import os
-import re
 import signal
 import sys
 import time
@@ -9,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from harness import World, register, run_folder, start
+from harness import World, register, results, run_folder, start
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
 
@@ -82,13 +81,12 @@ def test_ctrl_c_ends_a_run_at_once_and_in_order(case, tmp_path):
         for word in "Traceback", "KeyboardInterrupt", "Warning", "Error", "leaked":
             assert word not in process.err + process.out, process.err
     folder = run_folder(tmp_path)
-    expected = []
-    for file in sorted(folder.glob("seed-*/evals.csv")):
-        path, step = file.parent.relative_to(tmp_path), pd.read_csv(file)["env_step"].iloc[-1]
-        expected.append(f"return 3.0 after {step:,} steps: {path}")
-    assert re.sub(r", \d+\.\d minutes", "", process.out).splitlines() == expected
-    assert (folder / "learning_curve.png").exists() == bool(expected)
+    expected = {file.parent.name: pd.read_csv(file)["env_step"].iloc[-1]
+                for file in folder.glob("seed-*/evals.csv")}
     assert len(expected) >= {"several seeds": 3, "seeds start": 0}.get(case, 1)
+    assert (folder / "learning_curve.png").exists() == bool(process.out) == bool(expected)
+    if expected:
+        assert results(process)["env_step"].to_dict() == expected
 
 
 @pytest.mark.slow

@@ -5,10 +5,9 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 import torch
-from harness import ACTIONS, World, register
+from harness import ACTIONS
 from test_gae import gae_by_hand
 from torch.distributions import Normal, TanhTransform, TransformedDistribution, kl_divergence
 
@@ -16,16 +15,6 @@ import ppo_continuous as ppo
 
 SIZES = "--num-envs 4 --rollout-steps 25 --minibatch-size 34 --total-steps 100 --max-kl 1e9"
 UNEVEN = "test_rollout:Uneven"
-
-
-class Timeless(World):
-    """Does not show when its episodes end."""
-
-    def observe(self):
-        return np.float32([self.episode, 0])
-
-
-register("Timeless", Timeless, limit=8, length=None)
 
 
 def make(options="", world="harness:ThreeSteps", new=False):
@@ -43,12 +32,15 @@ def make(options="", world="harness:ThreeSteps", new=False):
 
 
 def play(options="", world="harness:ThreeSteps", mean=0.0):
-    """Arguments, agent, and a rollout with μ near `mean`, random advantages and targets."""
+    """Arguments, agent, and 100 rows of a rollout, μ near `mean`, A and R random."""
     args, envs, agent = make(options, world)
     agent.actor[-1].bias.data.fill_(mean)
     obs, _ = envs.reset(seed=[1, 2, 3, 4])
     batch, _, _ = ppo.rollout(envs, agent, obs, args, 0)
-    batch.advantages, batch.targets = torch.randn(2, 25, 4)
+    batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
+    batch.advantages, batch.targets = torch.randn(2, 100)
+    batch.values = torch.zeros(100)
+    batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions).detach()
     return args, agent, batch
 
 
@@ -88,10 +80,11 @@ def watch_steps(agent, optimizer):
 
 
 def update(args, agent, batch, lr=0.0):
-    """The steps of an update, and what it logs of each minibatch."""
+    """The steps of an update."""
     optimizer = torch.optim.Adam(agent.parameters(), lr)
     steps = watch_steps(agent, optimizer)
-    return steps, ppo.optimise(agent, optimizer, batch, args)[1:]
+    ppo.optimise(agent, optimizer, batch, args)
+    return steps
 
 
 # --- Policy and losses ----------------------------------------------------------------------------
@@ -101,17 +94,19 @@ def update(args, agent, batch, lr=0.0):
 def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, monkeypatch):
     args, agent, batch = play(f"--log-std {log_std} --epochs 3", mean=mean)
     ratios = spy(monkeypatch, "policy_loss", lambda ratio, *_: ratio.detach())
-    _, logs = update(args, agent, batch)
+    update(args, agent, batch)
     assert len(ratios) == 3 * 3
     assert (torch.cat(ratios) - 1).abs().max() < 1e-5
-    assert all(log["clip_fraction"] == 0 and log["approximate_kl"] < 1e-6 for log in logs)
+    metrics = ppo.diagnose(agent, batch, args)
+    assert metrics["clip_fraction"] == 0
+    assert metrics["approximate_kl"] < 1e-6
 
 
 def test_the_density_that_acted_is_the_one_that_learns():
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
     _, agent, batch = play("--log-std 1")
     policy = agent.policy(batch.obs)
-    torch.testing.assert_close(policy.stddev.data, torch.full((25, 4, 2), math.e))
+    torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), math.e))
     noise = (batch.actions - policy.mean) / math.e
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
@@ -119,12 +114,11 @@ def test_the_density_that_acted_is_the_one_that_learns():
 
 
 def test_tanh_takes_actions_to_the_range_of_the_environment_and_never_beyond():
-    _, _, agent = make(new=True)
-    agent.actor, half = torch.nn.Identity(), math.atanh(0.5)
-    means = [[-10, -10], [10, 10], [0, 0], [half, -half]]
-    _, env_actions = agent.act(means, deterministic=True)
-    np.testing.assert_allclose(env_actions, [[-1, 0], [3, 0.5], [1, 0.25], [2, 0.125]], rtol=1e-6)
-    assert all(ACTIONS.contains(x) for x in env_actions)
+    half = math.atanh(0.5)
+    actions = np.float32([[-10, -10], [10, 10], [0, 0], [half, -half]])
+    squashed = ppo.squash(actions, ACTIONS)
+    np.testing.assert_allclose(squashed, [[-1, 0], [3, 0.5], [1, 0.25], [2, 0.125]], rtol=1e-6)
+    assert all(ACTIONS.contains(x) for x in squashed)
 
 
 def test_no_environment_gets_an_action_out_of_bounds():
@@ -134,14 +128,14 @@ def test_no_environment_gets_an_action_out_of_bounds():
 
 def test_deterministic_actions_are_those_of_the_mean():
     (_, _, agent), obs = make(), torch.randn(4, 2)
-    actions, _ = agent.act(obs, deterministic=True)
+    actions = agent.act(obs, deterministic=True)
     np.testing.assert_array_equal(actions, agent.policy(obs).mean.detach())
-    assert (agent.act(obs)[0] != actions).all()
+    assert (agent.act(obs) != actions).all()
 
 
 def test_a_new_policy_acts_alike_in_all_states():
     _, _, agent = make(new=True)
-    actions, _ = agent.act(10 * torch.randn(100, 2), deterministic=True)
+    actions = agent.act(10 * torch.randn(100, 2), deterministic=True)
     assert 0 < np.abs(actions).max() < 0.05
 
 
@@ -179,15 +173,14 @@ def test_policy_loss_starts_as_the_policy_gradient():
 
 
 @pytest.mark.parametrize(
-    ("part", "coef", "own"), [("policy loss", 0, {"actor", "log_std"}),
-                              ("value loss", 0, {"critic"}), ("entropy", 1, {"log_std"})])
-def test_each_part_of_the_loss_reaches_its_own_network_only(part, coef, own):
-    """The other parts are constant: advantages of 0, targets that the critic knows, c = 0."""
-    args, agent, batch = play(f"--minibatch-size 100 --epochs 1 --entropy-coef {coef}")
-    if part != "policy loss":
-        batch.advantages *= 0
-    if part != "value loss":
+    ("part", "own"), [("policy loss", {"actor", "log_std"}), ("value loss", {"critic"})])
+def test_each_part_of_the_loss_reaches_its_own_network_only(part, own):
+    """The other part is constant: advantages of 0, targets that the critic knows."""
+    args, agent, batch = play("--minibatch-size 100 --epochs 1")
+    if part == "policy loss":
         batch.targets = agent.value(batch.obs).detach()
+    else:
+        batch.advantages *= 0
     update(args, agent, batch)
     reached = {name.split(".")[0] for name, p in agent.named_parameters() if p.grad.norm() > 1e-6}
     assert reached == own
@@ -208,41 +201,56 @@ def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
 
 def find_rows(batch, obs):
     """Of which rows of the batch these observations are: no two rows look alike."""
-    rows = batch.obs.flatten(0, 1).tolist()
+    rows = batch.obs.tolist()
     return [rows.index(x) for x in obs.tolist()]
 
 
-def by_hand(agent, old, batch, obs, args):
-    """Gradients of the loss in step 5 and its diagnostics, if `old` has played the rollout."""
-    rows = find_rows(batch, obs)
-    actions = batch.actions.flatten(0, 1)[rows]
+def estimates_by_hand(old, batch, args):
+    """A and R (100,), if `old` has played the rollout of 25 steps in 4 environments."""
+    grid = {name: x.reshape(25, 4, -1) for name, x in vars(batch).items()}
+    rewards, terminated, done = (grid[x].squeeze(-1) for x in ("rewards", "terminated", "done"))
     with torch.no_grad():
         values, next_values = (
-            old.critic(old.obs_stats.normalise(x)).squeeze(-1) for x in (batch.obs, batch.next_obs))
-        ends = batch.terminated, batch.done
-        A = gae_by_hand(batch.rewards, values, next_values, *ends, args.gamma, args.gae_lambda)
-        R = A + values
-        explained = 1 - (R - values).var() / R.var()
-        R, A = R.flatten()[rows], A.flatten()[rows]
-        A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
+            old.critic(old.obs_stats.normalise(grid[x])).squeeze(-1) for x in ("obs", "next_obs"))
+    ends = terminated, done
+    A = gae_by_hand(rewards, values, next_values, *ends, args.gamma, args.gae_lambda)
+    return A.flatten(), (A + values).flatten()
+
+
+def ratio_by_hand(agent, old, batch, rows):
     pi, pi_old = (
-        Normal(x.actor(x.obs_stats.normalise(obs)), x.log_std.exp()) for x in (agent, old))
-    ratio = (pi.log_prob(actions) - pi_old.log_prob(actions).detach()).sum(-1).exp()
-    low, high = 1 - args.clip_eps, 1 + args.clip_eps
-    loss_pi, loss_v = 0.0, 0.0
+        Normal(x.actor(x.obs_stats.normalise(batch.obs[rows])), x.log_std.exp())
+        for x in (agent, old))
+    actions = batch.actions[rows]
+    return (pi.log_prob(actions) - pi_old.log_prob(actions).detach()).sum(-1).exp()
+
+
+def surrogate_by_hand(ratio, A, clip_eps):
+    low, high = 1 - clip_eps, 1 + clip_eps
+    return sum(min(x * a, min(max(x, low), high) * a) for x, a in zip(ratio, A)) / len(A)
+
+
+def gradients_by_hand(agent, old, batch, obs, args):
+    """Of the loss in step 5."""
+    rows = find_rows(batch, obs)
+    A, R = (x[rows] for x in estimates_by_hand(old, batch, args))
+    A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
+    loss = -surrogate_by_hand(ratio_by_hand(agent, old, batch, rows), A, args.clip_eps)
     for i, value in enumerate(agent.critic(agent.obs_stats.normalise(obs)).squeeze(-1)):
-        loss_pi -= min(ratio[i] * A[i], min(max(ratio[i], low), high) * A[i]) / len(rows)
-        loss_v += (value - R[i]) ** 2 / 2 / len(rows)
-    # the entropy of a Gaussian is log σ + ½·log(2πe), and that of two independent ones is the sum
-    entropy = agent.log_std.sum() + math.log(2 * math.pi * math.e)
-    loss = loss_pi + loss_v - args.entropy_coef * entropy
-    gradients = torch.autograd.grad(loss, list(agent.parameters()), retain_graph=True)
-    log = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-           "policy_std": agent.log_std.exp().mean(), "explained_variance": explained,
-           "clip_fraction": ((ratio < low) | (ratio > high)).double().mean(),
+        loss += (value - R[i]) ** 2 / 2 / len(rows)
+    return torch.autograd.grad(loss, list(agent.parameters()))
+
+
+@torch.no_grad()
+def diagnostics_by_hand(agent, old, batch, args):
+    A, R = estimates_by_hand(old, batch, args)
+    ratio = ratio_by_hand(agent, old, batch, slice(None))
+    log = {"policy_loss": -surrogate_by_hand(ratio, A, args.clip_eps),
+           "value_loss": A.square().mean() / 2, "explained_variance": 1 - A.var() / R.var(),
+           "policy_std": agent.log_std.exp().mean(),
            "approximate_kl": (ratio - 1 - ratio.log()).mean(),
-           "gradient_norm": torch.nn.utils.get_total_norm(gradients)}
-    return gradients, {name: x.item() for name, x in log.items()}
+           "clip_fraction": ((ratio - 1).abs() > args.clip_eps).double().mean()}
+    return {name: x.item() for name, x in log.items()}
 
 
 @pytest.mark.parametrize("minibatches", [1, 3])
@@ -251,10 +259,10 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     """Its first step, at ratio 1, and later ones, of a policy and a critic that have moved.
 
     Advantages and targets are those of the critic before the update, in each epoch; and no
-    gradient goes through them. The diagnostics are means over the minibatches.
+    gradient goes through them. The diagnostics are of the whole rollout, after the update.
     """
     options = f"--minibatch-size {math.ceil(100 / minibatches)} --epochs 2 --max-grad-norm 1e9"
-    options += " --gamma 0.9 --gae-lambda 0.7 --entropy-coef 0.2 --clip-eps 0.1"
+    options += " --gamma 0.9 --gae-lambda 0.7 --clip-eps 0.1"
     options += " --learning-rate 0.05 --std-learning-rate 0.05"
     args, envs, agent = make(options, world)
     rollout = ppo.rollout
@@ -271,18 +279,17 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     networks = [*agent.actor.parameters(), *agent.critic.parameters()]
     optimizer = torch.optim.SGD([{"params": networks}, {"params": agent.log_std}])
     steps = watch_steps(agent, optimizer)
-    _, (_, _, metrics) = ppo.train(args, 1, envs, agent, optimizer, 0)
+    _, (_, _, (metrics,)) = ppo.train(args, 1, envs, agent, optimizer, 0)
     ((old, batch),) = start
     assert len(steps) == 2 * minibatches
-    logs = []
     for obs, before, gradients in steps:
-        expected, log = by_hand(before, old, batch, obs, args)
-        torch.testing.assert_close(gradients, expected, rtol=1e-6, atol=1e-9)
-        logs.append(log)
-    logs = pd.DataFrame(logs)
-    assert logs["clip_fraction"][0] == 0
-    assert 0.1 < logs["clip_fraction"][1:].mean() < 0.9
-    assert metrics == pytest.approx(logs.mean().to_dict(), rel=1e-6, abs=1e-12)
+        expected = gradients_by_hand(before, old, batch, obs, args)
+        torch.testing.assert_close(gradients, list(expected), rtol=1e-6, atol=1e-9)
+    statistics = copy.deepcopy(agent)  # those of observations have changed since
+    statistics.obs_stats = old.obs_stats
+    expected = diagnostics_by_hand(statistics, old, batch, args)
+    assert 0.1 < expected["clip_fraction"] < 0.9
+    assert metrics == pytest.approx({"env_step": 100, **expected}, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +297,7 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
 def test_each_epoch_uses_each_row_once_in_minibatches_as_large_as_asked(size, lengths):
     """Parameters stay finite even when a minibatch is of a single row, where A becomes 0."""
     args, agent, batch = play(f"--epochs 3 --minibatch-size {size}")
-    steps, _ = update(args, agent, batch, lr=1e-3)
+    steps = update(args, agent, batch, lr=1e-3)
     assert [len(obs) for obs, *_ in steps] == 3 * lengths
     orders = np.reshape(find_rows(batch, torch.cat([obs for obs, *_ in steps])), (3, 100))
     assert (np.sort(orders) == np.arange(100)).all()
@@ -298,36 +305,34 @@ def test_each_epoch_uses_each_row_once_in_minibatches_as_large_as_asked(size, le
     assert all(p.isfinite().all() for p in agent.parameters())
 
 
-def test_longer_gradients_are_shortened_all_together_and_logged_as_they_were():
-    norms, logged = [], []
+def test_longer_gradients_are_shortened_all_together():
+    norms = []
     for limit in 1e9, 1e-2:
         torch.manual_seed(0)
         args, agent, batch = play(f"--max-grad-norm {limit} --epochs 1")
-        steps, logs = update(args, agent, batch)
-        logged.append([log["gradient_norm"] for log in logs])
+        steps = update(args, agent, batch)
         norms.append([torch.nn.utils.get_total_norm(grads).item() for *_, grads in steps])
     assert min(norms[0]) > 0.1
-    assert logged[0] == logged[1] == pytest.approx(norms[0])
     assert norms[1] == pytest.approx([1e-2] * 3, rel=1e-3)
 
 
 def test_a_gradient_that_is_not_finite_ends_the_run_and_changes_no_parameter():
     args, agent, batch = play("--minibatch-size 100")
     before = copy.deepcopy(agent.state_dict())
-    batch.targets[5, 2] = math.nan
+    batch.targets[22] = math.nan
     with pytest.raises(RuntimeError, match="non-finite"):
         update(args, agent, batch, lr=1e-3)
     assert all(torch.equal(x, before[name]) for name, x in agent.state_dict().items())
 
 
-def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step():
+def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step(monkeypatch):
     args, agent, batch = play("--epochs 20 --max-kl 0.01")
-    steps, logs = update(args, agent, batch, lr=5e-4)
-    kls = [log["approximate_kl"] for log in logs]
+    log_ratios = spy(monkeypatch, "approximate_kl", lambda log_ratio: log_ratio.detach())
+    steps = update(args, agent, batch, lr=5e-4)
+    kls = [(x.exp() - 1 - x).mean().item() for x in log_ratios]
     assert 6 < len(kls) < 57  # not even in the last epoch
     assert kls[-1] > 0.01 >= max(kls[:-1])
     assert len(steps) == len(kls) - 1
-    assert logs[0].keys() - logs[-1].keys() == {"gradient_norm"}
 
 
 def test_a_gradient_as_small_as_eps_makes_half_a_step():
@@ -343,11 +348,12 @@ def test_a_gradient_as_small_as_eps_makes_half_a_step():
 def test_training_yields_what_it_knows_at_the_start_and_after_each_update():
     """All 4 environments end an episode every 3 steps; an update is 25 steps of each."""
     _, (start, *updates) = train("--total-steps 250", "harness:ThreeSteps")
-    assert start == (0, [], {})
+    assert start == (0, [], [])
     assert [env_step for env_step, *_ in updates] == [100, 200, 300]
-    for env_step, episodes, metrics in updates:
+    for env_step, episodes, (metrics,) in updates:
         ends = [x for x in range(env_step - 96, env_step + 4, 4) if x % 12 == 0]
         assert [row["env_step"] for row in episodes] == sorted(4 * ends)
+        assert metrics.pop("env_step") == env_step
         assert all(type(x) is float and math.isfinite(x) for x in metrics.values())
 
 
@@ -361,7 +367,7 @@ def test_the_agent_that_learns_from_a_rollout_is_the_one_that_played_it(monkeypa
     for before, then in zip(played, learned):
         same = {name for name, x in then.items() if torch.equal(x, before[name])}
         assert then.keys() - same == {f"return_stats.{x}" for x in ("mean", "var", "count")}
-    obs = torch.cat([batch.obs.flatten(0, 1) for batch in batches])
+    obs = torch.cat([batch.obs for batch in batches])
     torch.testing.assert_close(end["obs_stats.mean"], obs.mean(0))
     torch.testing.assert_close(end["obs_stats.var"], obs.var(0, correction=0))
 
@@ -394,7 +400,7 @@ def test_both_learning_rates_fall_in_a_straight_line(first_step, monkeypatch):
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits():
     options = "--gamma 0.9 --learning-rate 1e-2 --rollout-steps 16 --minibatch-size 64"
-    agent, _ = train(f"{options} --total-steps 1920", "test_ppo:Timeless")
+    agent, _ = train(f"{options} --total-steps 1920", "harness:Timeless")
     obs = torch.tensor([[-0.8, 0.0], [0.0, 0.0], [0.8, 0.0]])
     raw_values = agent.value(obs) * agent.return_stats.var.sqrt()
     assert (raw_values - 10).abs().max() < 0.5, raw_values  # blind to the limit: at most 5.7

@@ -74,21 +74,12 @@ def test_returns_of_a_very_long_episode_do_not_take_for_ever():
 
 
 @pytest.mark.parametrize(("baseline", "expected"), [
-    ("none", [1, 2, 6]), ("value", [0.5, -1, 4]),
-    ("mean", [x / math.sqrt((4 + 1 + 9) / 3) for x in (-2, -1, 3)])])
+    ("none", [1, 2, 6]), ("value", [0.5, -1, 4]), ("mean", [-2, -1, 3])])
 def test_advantages_by_hand_and_no_gradient_goes_through_them(baseline, expected):
-    values = torch.tensor([0.5, 3.0, 2.0], requires_grad=True) * (baseline == "value")
+    values = torch.tensor([0.5, 3.0, 2.0], requires_grad=True)
     advantages = rf.compute_advantages(torch.tensor([1.0, 2.0, 6.0]), values, baseline)
     assert advantages.tolist() == pytest.approx(expected)
     assert not advantages.requires_grad
-
-
-@pytest.mark.parametrize("returns", [[3.0], [3.0, 3.0, 3.0]])
-def test_a_batch_of_equal_returns_has_finite_advantages(returns):
-    """One step in all is such a batch, and the usual std of one number is NaN."""
-    returns = torch.tensor(returns)
-    advantages = rf.compute_advantages(returns, torch.zeros_like(returns), "mean")
-    assert advantages.tolist() == [0.0] * len(returns)
 
 
 # --- The gradient ---------------------------------------------------------------------------------
@@ -107,17 +98,14 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     parameters = list(agent.parameters())
     for p in parameters:
         p.grad = torch.ones_like(p)  # of an update before, say
-    _, (_, _, metrics) = train(args, envs, agent)
+    _, (_, _, (metrics,)) = train(args, envs, agent)
     (batch,) = batches
     assert batch.actions.shape == (3 * episodes, 3)
     returns = torch.tensor([1 + 0.9 * (2 + 0.9 * 3), 2 + 0.9 * 3, 3.0] * episodes)
-    advantages, expected = returns, {}
-    if baseline == "mean":
-        advantages = (returns - returns.mean()) / returns.std(correction=0)
-    if baseline == "value":
-        values = agent.critic(batch.obs)[:, 0]
-        advantages = returns - values.detach()
-        expected["value_loss"] = ((values - returns) ** 2).sum() / (2 * len(returns))
+    values = agent.critic(batch.obs)[:, 0]
+    expected = {"value_loss": ((values - returns) ** 2).sum() / (2 * len(returns))}
+    advantages = {"none": returns, "value": returns - values.detach(),
+                  "mean": returns - returns.mean()}[baseline]
     outputs = agent.actor(batch.obs)
     std = (1 + outputs[:, 3:].exp()).log() + 0.1
     noise = (batch.actions - outputs[:, :3]) / std
@@ -127,8 +115,7 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     for p, gradient in zip(parameters, gradients):
         torch.testing.assert_close(p.grad, gradient, rtol=1e-4, atol=1e-6)
         assert gradient.abs().max() > 1e-4
-    expected["policy_std"] = std.mean()
-    expected["entropy"] = (std.log() + 0.5 * math.log(2 * math.pi * math.e)).sum(1).mean()
+    expected |= {"policy_std": std.mean(), "env_step": torch.tensor(3 * episodes)}
     assert metrics == {name: pytest.approx(x.item(), rel=1e-4) for name, x in expected.items()}
 
 
@@ -151,8 +138,7 @@ def bandit_gradients(baseline, batches=1000, B=8):
         actions = policy.sample()
         returns = 10 - ((actions - c) ** 2).sum(-1)
         advantages = rf.compute_advantages(returns, agent.value(obs), baseline)
-        if baseline == "mean":  # undo the division by the std; a return is 1/B of its own baseline
-            advantages = advantages * (returns - returns.mean()).norm() / advantages.norm()
+        if baseline == "mean":  # a return is 1/B of its own baseline
             advantages = advantages / (1 - 1 / B)
         loss = rf.policy_loss(policy.log_prob(actions), advantages)
         gradients.append(-torch.autograd.grad(loss, agent.actor[-1].bias)[0])
@@ -186,25 +172,12 @@ def test_on_a_bandit_a_baseline_takes_most_of_the_noise_away(bandit, baseline):
 def test_a_batch_that_teaches_nothing_changes_nothing():
     """γ = 0 and equal rewards leave no advantage; a weight decay would still shrink the weights."""
     args, envs, agent = make("--gamma 0 --total-steps 30 --baseline mean --learning-rate 1")
-    before = [p.clone() for p in agent.parameters()]
+    before = [p.clone() for p in agent.actor.parameters()]
     train(args, envs, agent)
-    assert all(torch.equal(p, q) for p, q in zip(agent.parameters(), before))
+    assert all(torch.equal(p, q) for p, q in zip(agent.actor.parameters(), before))
 
 
 # --- Agent ----------------------------------------------------------------------------------------
-
-
-@every_baseline
-def test_there_is_a_critic_with_baseline_value_only(baseline):
-    _, _, agent = make(f"--baseline {baseline}")
-    obs = torch.randn(4, 5, 2)
-    values = agent.value(obs)
-    if baseline == "value":
-        assert torch.equal(values, agent.critic(obs)[..., 0])
-        assert len(values.unique()) == 20
-    else:
-        assert agent.critic is None
-        assert torch.equal(values, torch.zeros(4, 5))
 
 
 def test_mean_and_std_of_actions_are_the_two_halves_of_what_the_actor_says():
@@ -216,7 +189,7 @@ def test_mean_and_std_of_actions_are_the_two_halves_of_what_the_actor_says():
     torch.testing.assert_close(policy.mean, mean)
     torch.testing.assert_close(policy.stddev, std)
     assert len(std.unique()) == 100  # σ depends on the state
-    actions, _ = agent.act(obs.repeat(2000, 1).numpy())
+    actions = agent.act(obs.repeat(2000, 1).numpy())
     noise = (torch.as_tensor(actions).view(2000, 50, 2) - mean) / std
     assert noise.mean(0).abs().max() < 5 / math.sqrt(2000)
     torch.testing.assert_close(noise.flatten(0, 1).T.cov(), torch.eye(2), rtol=0, atol=0.02)
@@ -242,16 +215,10 @@ def test_extreme_pre_activations_stay_finite_and_go_on_learning(mean, raw_std):
         assert learning[2:].all()
 
 
-@pytest.mark.parametrize("env", ["ThreeSteps-v0", "Unbounded-v0"])
-def test_the_environment_gets_actions_within_its_bounds_if_it_has_any(env):
+def test_the_environment_gets_actions_within_its_bounds():
     """What is learned from are the actions that were drawn, wherever they lie."""
-    args, envs, agent = make(env=env)
-    space = envs.single_action_space
-    for mean in -0.5, 30:
-        agent.actor[-1].bias.data[:2] = mean
-        actions, env_actions = agent.act(np.zeros((200, 2)))
-        np.testing.assert_array_equal(env_actions, actions.clip(space.low, space.high))
-        assert ((actions < ACTIONS.low) | (actions > ACTIONS.high)).any()
+    args, envs, agent = make()
+    agent.actor[-1].bias.data[:2] = 30
     batch, _ = rf.rollout(envs, agent, args, 0)  # the world asserts its bounds
     assert batch.actions.min() > 20
 
@@ -259,10 +226,9 @@ def test_the_environment_gets_actions_within_its_bounds_if_it_has_any(env):
 def test_the_deterministic_action_is_the_mean():
     _, _, agent = make()
     obs = np.float32(np.random.default_rng(0).normal(size=(20, 2)))
-    actions, env_actions = agent.act(obs, deterministic=True)
+    actions = agent.act(obs, deterministic=True)
     mean = agent.policy(torch.as_tensor(obs)).mean.detach().numpy()
     np.testing.assert_allclose(actions, mean, rtol=1e-6)
-    np.testing.assert_array_equal(env_actions, actions.clip(ACTIONS.low, ACTIONS.high))
 
 
 # --- Episodes -------------------------------------------------------------------------------------
@@ -300,13 +266,13 @@ def test_each_row_keeps_its_own_action_and_reward():
 
 @every_baseline
 @pytest.mark.parametrize("world", LENGTHS)
-def test_only_a_time_limit_is_bootstrapped_and_only_with_a_critic(world, baseline):
+def test_only_a_time_limit_is_bootstrapped(world, baseline):
     args, envs, agent = make(f"--gamma 0.9 --baseline {baseline}", f"{world}-v0")
     batch, _ = rf.rollout(envs, agent, args, 0)
     length = LENGTHS[world]
     for obs, returns in zip(batch.obs.split(length), batch.returns.split(length)):
         last_value = 0.0
-        if world == "Forever" and baseline == "value":
+        if world == "Forever":
             last_value = agent.critic(torch.tensor([obs[0, 0], length])).item()
             assert abs(last_value) > 1e-3
         expected = [
@@ -334,8 +300,9 @@ def test_train_yields_before_the_first_update_and_after_each():
     assert episodes == ([], *(
         [{"env_step": env_step, "return": 3, "length": 3} for env_step in range(begin, end, 3)]
         for begin, end in ((3, 15), (15, 27), (27, 39))))
-    assert metrics[0] == {}
-    assert len({row["policy_loss"] for row in metrics[1:]}) == 3
+    assert metrics[0] == []
+    assert [row["env_step"] for (row,) in metrics[1:]] == [12, 24, 36]
+    assert len({row["policy_loss"] for (row,) in metrics[1:]}) == 3
 
 
 def test_the_learning_rate_falls_in_a_straight_line():

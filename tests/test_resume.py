@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import torch
 from conftest import only
-from harness import read_json, run, run_folder, table
+from harness import read_json, results, run, run_folder, table
 
 pytestmark = only("a2c_vector", "ppo_continuous")
 
@@ -40,9 +40,7 @@ def test_a_copied_checkpoint_goes_on_in_a_new_folder_and_nothing_else_changes(
     args = read_json(new / "args.json")
     assert (args["total_steps"], args["learning_rate"], args["seed"]) == (1024, 0.5, [3])
     assert args["resume"] == str(copy / "checkpoint.pt")
-    (line,) = process.out.splitlines()
-    assert "after 1,024 steps" in line
-    assert line.endswith(f"{new.relative_to(tmp_path)}/seed-3")
+    assert results(process)["env_step"].to_dict() == {"seed-3": 1024}
 
     seed = new / "seed-3"
     assert steps(seed, "metrics") == [128 * (i + 1) for i in range(8)]

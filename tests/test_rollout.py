@@ -10,7 +10,7 @@ import torch
 from conftest import only
 from gymnasium.spaces import Box
 from gymnasium.utils.seeding import np_random
-from harness import World, register
+from harness import ACTIONS, World, register
 
 import ppo_continuous as ppo
 
@@ -126,10 +126,10 @@ def test_the_stored_actions_are_those_that_were_executed(script):
     """In this world the sum of an action is its reward; it refuses actions out of bounds."""
     args, envs, agent = make(script, UNEVEN)
     batch, _, _ = play(script, args, envs, agent)
-    executed = batch.actions + 1  # this world counts its actions from 1
+    executed = batch.actions
     if script.name == "ppo_continuous":
-        squashed = (torch.tanh(batch.actions) + 1) / 2
-        executed = (agent.low + (agent.high - agent.low) * squashed).sum(-1)
+        low, high = torch.as_tensor(ACTIONS.low), torch.as_tensor(ACTIONS.high)
+        executed = (low + (high - low) * (torch.tanh(batch.actions) + 1) / 2).sum(-1)
     torch.testing.assert_close(batch.rewards, executed)
     assert len(batch.rewards.unique()) == (3 if script.name == "a2c_vector" else 100)
 

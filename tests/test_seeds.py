@@ -1,9 +1,11 @@
 """Seeds: the same run again, several in parallel, and what may not touch the random numbers."""
 
+import os
+
 import pandas as pd
 import pytest
 import torch
-from harness import run, run_folder, table
+from harness import TESTS, results, run, run_folder, table
 
 import ppo_continuous as ppo
 
@@ -51,15 +53,15 @@ gym.register("Buggy-v0", Buggy)
 
 @pytest.mark.parametrize("seeds", [[2], [1, 2]])
 def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
-    """It strikes in seed 2, after the first evaluation. The module is in the current folder."""
+    """It strikes in seed 2, after the first evaluation."""
     (bad,) = ppo.make_seeds(2, stream=2, count=1)
     (tmp_path / "here.py").write_text(BUG.format(seed=bad))
     options = "--num-envs 4 --rollout-steps 32 --total-steps 1024 --eval-episodes 1 --num-evals 8"
     arguments = "--env-id", "here:Buggy-v0", *options.split(), "--seed", *seeds
-    process = run("ppo_continuous.py", *arguments, cwd=tmp_path, status=1)
+    process = run("ppo_continuous.py", *arguments, cwd=tmp_path, status=1,
+                  PYTHONPATH=os.pathsep.join((str(tmp_path), str(TESTS))))
     assert 'here.py", line 7, in reward' in process.err
     assert process.err.rstrip().endswith("ZeroDivisionError: division by zero")
     assert (run_folder(tmp_path) / "learning_curve.png").exists()
-    last = process.out.splitlines()[-1]
-    assert last.startswith("return 3.0 after 128 steps")
-    assert last.endswith("seed-2")
+    last = results(process).loc["seed-2"]
+    assert (last["env_step"], last["return_mean"]) == (128, 3)
