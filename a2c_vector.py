@@ -226,8 +226,8 @@ def optimise(agent, optimizer, batch, args):
 def make_optimizer(agent):
     """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic.
 
-    Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
-    the usual 1e-8, weights whose gradients are of about 1e-5 or less take smaller steps.
+    Adam divides a gradient's running mean by its root mean square + eps. An eps of 1e-5, not the
+    usual 1e-8, shortens steps along gradients of about 1e-5 or less.
     """
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
     return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
@@ -236,8 +236,8 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields once before the first update and once after each: the steps so far, and new rows for the
-    tables of episodes and of metrics.
+    Yields before the first update and after each: the steps so far, and new rows for the tables of
+    episodes and of metrics.
     """
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))

@@ -26,17 +26,16 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   5. For several epochs, for each shuffled minibatch: go to 6 if the KL divergence of π from π_old,
      the policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
-         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²) − c·entropy(π)
+         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-Rollouts, epochs and the loss are PPO [1], with GAE [2]; the entropy bonus, which keeps π exploring,
-is off by default. The rest are implementation details, and they matter [4]: annealing, reward
-scaling, observation normalisation and clipping, standardised advantages, the KL limit, gradient
-clipping, orthogonal initialisation with a small last layer, Adam's eps, tanh squashing, a separate
-learning rate for σ.
+Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, and
+they matter [4]: annealing, reward scaling, observation normalisation and clipping, standardised
+advantages, the KL limit, gradient clipping, orthogonal initialisation with a small last layer,
+Adam's eps, tanh squashing, a separate learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
-    c entropy_coef, ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
+    ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
 Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
@@ -287,8 +286,8 @@ def diagnose(agent, batch, args):
 def make_optimizer(agent):
     """Adam with two groups of weights, whose learning rates `train` sets: the networks, and log σ.
 
-    Adam divides the recent mean of a gradient by its root mean square + eps. With 1e-5 instead of
-    the usual 1e-8, weights whose gradients are of about 1e-5 or less take smaller steps.
+    Adam divides a gradient's running mean by its root mean square + eps. An eps of 1e-5, not the
+    usual 1e-8, shortens steps along gradients of about 1e-5 or less.
     """
     networks = [*agent.actor.parameters(), *agent.critic.parameters()]
     groups = [{"params": networks}, {"params": agent.log_std}]
@@ -298,8 +297,8 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields once before the first update and once after each: the steps so far, and new rows for the
-    tables of episodes and of metrics.
+    Yields before the first update and after each: the steps so far, and new rows for the tables of
+    episodes and of metrics.
     """
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))

@@ -23,14 +23,15 @@ action, the more likely REINFORCE makes it:
      about 1 / (1 − γ) = 50 steps ahead, so that it is less noisy than a plain sum.
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
-         --baseline mean    b_t = mean of G over the batch; A is also divided by the std of G
+         --baseline mean    b_t = mean of G over the batch
          --baseline value   b_t = V(s_t), where a second network, the critic, learns to predict G_t
-  5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²)  (the second part only if
-     there is a critic). Discard the batch, which was played by the old policy. Go to 1.
+  5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
+     Discard the batch, which was played by the old policy. Go to 1.
 
 Steps 2 to 5 are REINFORCE [1] with a baseline, and with returns counted from each step on [2].
 Implementation details are annealing, Adam, a mean over the steps of a batch, a floor under σ, a
-small last layer, clipped actions, and the critic's estimate for what a time limit cuts off [3].
+small last layer, clipped actions, and the critic's estimate for what a time limit cuts off [3],
+for which the critic is there with every baseline.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -66,7 +67,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ(s)) and, with --baseline value, the critic V(s)."""
+    """The actor π(a|s) = Normal(μ(s), σ(s)) and the critic V(s)."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -190,8 +191,8 @@ def optimise(agent, optimizer, batch, args):
 def train(args, seed, envs, agent, optimizer):
     """The algorithm.
 
-    Yields once before the first update and once after each: the steps so far, and new rows for the
-    tables of episodes and of metrics.
+    Yields before the first update and after each: the steps so far, and new rows for the tables of
+    episodes and of metrics.
     """
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
