@@ -17,28 +17,28 @@ episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
-is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less:
+is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate the advantage A of every action taken (GAE). R = A + V(s) is the critic's target.
+  4. Estimate the advantage A of every action (GAE). R = A + V(s) ≈ Q(s,a) is the critic's target.
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-New since reinforce_mujoco.py, and the idea of A2C, is bootstrapping: the critic's estimate replaces
-the rewards that are still to come, so the agent learns before an episode ends. It can do so from
-many environments at once, whose data are less alike [1]. λ in GAE [2] sets how far the critic is
-trusted. The other additions help in practice: observation normalisation and clipping, reward
-scaling, standardised advantages, an entropy bonus (against settling on one action too early),
-gradient clipping, orthogonal initialisation with a small last layer, Adam's eps. In A3C [1] several
-workers learn without waiting for each other; A2C is its synchronous form.
+The idea of A2C, and what is new since reinforce_mujoco.py, is bootstrapping: the critic's estimate
+replaces the rewards that are still to come, so the agent learns before an episode ends. λ in GAE
+[2] sets how far the critic is trusted. Many environments at once make the data of a rollout less
+alike; in A3C [1] they do not wait for each other, A2C is its synchronous form. The rest are
+implementation details: observation normalisation and clipping, reward scaling, standardised
+advantages, an entropy bonus (against settling on one action too early), gradient clipping,
+orthogonal initialisation with a small last layer of π, Adam's eps.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef.
 Shapes: T rollout_steps, N num_envs, D numbers in an observation.
-An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
+An episode is `terminated` if it ended for good (a landing), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
 [2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage Estim.
@@ -70,7 +70,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and statistics for their scales."""
+    """The actor π(a|s), the critic V(s), and the statistics that normalise s."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -106,11 +106,11 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def normalise(self, x):
-        """Mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
+        """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), a fraction w of all rows seen so far:
+        """Merge in new `rows` (B, …), a fraction w of all rows including these:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -166,15 +166,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    λ trades bias for variance. With λ = 0, A_t = δ_t contains one reward, and the critic stands for
-    all others: the estimate varies little, but inherits the critic's errors (bias). With λ = 1 the
-    values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all rewards up to the
-    next boundary: less bias, but also the luck of all these actions (variance).
-
-    At a boundary the sum ends, because A_{t+1} is of another episode or not known:
+    The sum ends at a boundary, because A_{t+1} is of another episode or not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
+
+    If V is the true value, the mean of δ_t is A(s_t,a_t) and that of all later δ is 0. As V is an
+    estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
+    stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
+    between cancel, and A_t is the discounted sum of all rewards, up to the boundary and with V
+    there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -186,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T, N). Its gradient estimates −∇J up to a factor.
+    """−mean(A·log π); log π and A are (T, N). Its gradient approximates −∇J, up to a factor.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the weights of the actor, and E a mean over the actions of π and the states that follow. Then
@@ -251,7 +252,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
         # Step 3: scale the rewards.
         batch.rewards *= args.reward_scale
-        # Step 4: estimate advantages and targets, which are constants for the losses.
+        # Step 4: estimate advantages and targets, the constants of the losses.
         with torch.no_grad():
             values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
@@ -444,7 +445,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
+    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
+    lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -455,6 +457,7 @@ def report(folder, env_id):
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
+    data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 4, ["policy_loss", "value_loss", "explained_variance", "entropy"]],
@@ -463,7 +466,7 @@ def report(folder, env_id):
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar="sd", label=labels.get(name),
+        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
                      ax=panels[name.removesuffix("_mean")])
     figure.savefig(folder / "learning_curve.png")
 

@@ -17,21 +17,21 @@ episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
-is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less:
+is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate the advantage A of every action taken (GAE). R = A + V(s) is the critic's target.
-  5. For several epochs, for each shuffled minibatch: go to 6 if the KL divergence of π from π_old,
-     the policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
+  4. Estimate the advantage A of every action (GAE). R = A + V(s) ≈ Q(s,a) is the critic's target.
+  5. For several epochs, for each shuffled minibatch: go to 6 if KL(π_old ‖ π), where π_old is the
+     policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
 Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, and
 they matter [4]: annealing, reward scaling, observation normalisation and clipping, standardised
-advantages, the KL limit, gradient clipping, orthogonal initialisation with a small last layer,
+advantages, the KL limit, gradient clipping, orthogonal initialisation with a small last layer of π,
 Adam's eps, tanh squashing, a separate learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
@@ -69,7 +69,7 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics for their scales."""
+    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics of s and of returns."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
@@ -117,11 +117,11 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def normalise(self, x):
-        """Mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
+        """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), a fraction w of all rows seen so far:
+        """Merge in new `rows` (B, …), a fraction w of all rows including these:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -196,15 +196,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    λ trades bias for variance. With λ = 0, A_t = δ_t contains one reward, and the critic stands for
-    all others: the estimate varies little, but inherits the critic's errors (bias). With λ = 1 the
-    values in between cancel, and A_t = r_t + γ·r_{t+1} + … − V(s_t) contains all rewards up to the
-    next boundary: less bias, but also the luck of all these actions (variance).
-
-    At a boundary the sum ends, because A_{t+1} is of another episode or not known:
+    The sum ends at a boundary, because A_{t+1} is of another episode or not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
+
+    If V is the true value, the mean of δ_t is A(s_t,a_t) and that of all later δ is 0. As V is an
+    estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
+    stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
+    between cancel, and A_t is the discounted sum of all rewards, up to the boundary and with V
+    there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -227,12 +228,12 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    As usual γ^t is left out, to give late steps the same weight as early ones. So the surrogate
-    objective mean(ρ·A) has the gradient we want at π = π_old. Further away it is an approximation,
-    because states and advantages remain those of π_old; so the clip takes away the incentive to go
-    far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where ρ has
-    moved the wrong way, min selects the unclipped term, which leads back. Other samples may still
-    push ρ further out; that is what max_kl is for.
+    The surrogate objective mean(ρ·A) has this gradient at π = π_old, except that A is estimated and
+    γ^t left out, to give late steps the same weight as early ones. Further away it is less and less
+    exact, because states and advantages remain those of π_old; so the clip takes away the incentive
+    to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where
+    ρ has moved the wrong way, min selects the unclipped term, which leads back. Other samples may
+    still push ρ further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -261,7 +262,7 @@ def optimise(agent, optimizer, batch, args):
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
             optimizer.zero_grad()
-            (loss_pi + loss_v).backward()  # they share no weights, so one pass serves both
+            (loss_pi + loss_v).backward()
             nn.utils.clip_grad_norm_(
                 agent.parameters(), args.max_grad_norm, error_if_nonfinite=True)
             optimizer.step()
@@ -269,15 +270,14 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """What to look at if training fails: how far the update went, how good the critic was."""
+    """What to look at if training fails: π after the update, and V before it (R − V = A)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
-    errors = batch.targets - batch.values  # of the critic before the update
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
-               "value_loss": (errors**2).mean() / 2,
+               "value_loss": (batch.advantages**2).mean() / 2,
                # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
-               "explained_variance": 1 - errors.var() / batch.targets.var(),
+               "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "policy_std": policy.stddev.mean(), "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
     return {name: x.item() for name, x in metrics.items()}
@@ -314,13 +314,13 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 3: scale the rewards.
         batch.rewards, past_return = scale_rewards(
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
-        # Step 4: estimate advantages and targets; for the losses they are constants.
+        # Step 4: estimate advantages and targets; with log π_old, the constants of the losses.
         with torch.no_grad():
             batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)
-            batch.values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
-        batch.advantages = compute_gae(batch.rewards, batch.values, next_values, batch.terminated,
+            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+        batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
-        batch.targets = batch.advantages + batch.values
+        batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         optimise(agent, optimizer, batch, args)
@@ -491,7 +491,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
+    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
+    lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -502,6 +503,7 @@ def report(folder, env_id):
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
+    data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
@@ -510,7 +512,7 @@ def report(folder, env_id):
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar="sd", label=labels.get(name),
+        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
                      ax=panels[name.removesuffix("_mean")])
     figure.savefig(folder / "learning_curve.png")
 

@@ -19,19 +19,19 @@ action, the more likely REINFORCE makes it:
 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the return from every step t on:  G_t = r_t + γ·G_{t+1}. The discount γ makes it look
-     about 1 / (1 − γ) = 50 steps ahead, so that it is less noisy than a plain sum.
+  3. Compute the return from every step t on:  G_t = r_t + γ·G_{t+1}, with G = 0 after the end. The
+     discount γ makes it look about 1 / (1 − γ) = 50 steps ahead, so it is less noisy than a sum.
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
          --baseline value   b_t = V(s_t), where a second network, the critic, learns to predict G_t
   5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
-     Discard the batch, which was played by the old policy. Go to 1.
+     Discard the batch: the next step needs actions of the new π. Go to 1.
 
 Steps 2 to 5 are REINFORCE [1] with a baseline, and with returns counted from each step on [2].
 Implementation details are annealing, Adam, a mean over the steps of a batch, a floor under σ, a
-small last layer, clipped actions, and the critic's estimate for what a time limit cuts off [3],
-for which the critic is there with every baseline.
+small last layer, actions that are clipped after log π is computed, γ^t left out of the gradient,
+and the critic's estimate of what a time limit cuts off [3]; so every baseline trains a critic.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -69,7 +69,7 @@ from tqdm import tqdm
 class Agent(nn.Module):
     """The actor π(a|s) = Normal(μ(s), σ(s)) and the critic V(s)."""
 
-    def __init__(self, observation_space, action_space, args):
+    def __init__(self, observation_space, action_space):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
         self.actor = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(),
@@ -81,8 +81,8 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
-        # The floor under σ keeps π exploring and bounds the gradients: that of log π with respect
-        # to μ is (a − μ)/σ², and its standard deviation is 1/σ, so 10 at most.
+        # The floor under σ keeps π exploring and the gradients moderate: that of log π with respect
+        # to μ is (a − μ)/σ², the standard deviation of which is 1/σ, so 10 at most.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -126,7 +126,7 @@ def rollout(envs, agent, args, env_step):
         episodes.append({"env_step": env_step, "return": sum(rewards), "length": len(rewards)})
     batch = torch.utils.data.default_collate(steps)  # stacks the arrays of each name
     batch["returns"] = torch.tensor(returns)
-    batch = SimpleNamespace(**{name: x.float().to(args.device) for name, x in batch.items()})
+    batch = SimpleNamespace(**{name: x.to(args.device) for name, x in batch.items()})
     return batch, episodes
 
 
@@ -147,12 +147,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J up to a factor.
+    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J, up to a factor.
 
     J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
-    the actor, and E a mean over the actions of π and what the environment answers, which does not
-    depend on the weights. V(s) is the expected return from s on, and Q(s,a) the same if a is taken
-    first. Then (the policy gradient theorem, [2] section 13.2)
+    the actor, and E a mean over the actions of π and the answers of the environment; given s and a,
+    these do not depend on the weights. V(s) is here the true expected return from s on, and Q(s,a)
+    the same if a is taken first. Then (the policy gradient theorem, [2] section 13.2)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -161,15 +161,17 @@ def policy_loss(log_probs, advantages):
            = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        ∇V(s') put in again and again
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
-    So an action is made more likely in proportion to the return that followed it. The factor γ^t is
-    left out, as usual, to give late steps the same weight as early ones.
+    So an action is made more likely in proportion to the return that followed it. As usual γ^t is
+    left out, to give late steps the same weight as early ones.
 
-    A baseline b(s) may be subtracted from G: E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0. It leaves the mean
-    of the estimate unchanged and affects only its noise. If no return is negative, as in the
-    default task, then without a baseline every action that was tried is made more likely, bad ones
-    only less so; with one, those that turned out worse than expected are made less likely.
-    (`mean` is not quite a b(s), as it contains returns that the action has influenced; that biases
-    the estimate, and the less the more episodes a batch has.)
+    A baseline b(s) may be subtracted from G: E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0. In the sum over an
+    episode it changes no mean, only the noise. If no return is negative, as in the default task,
+    then without a baseline the gradient is towards every action that was tried, and less so towards
+    bad ones; with one, it is away from those that turned out worse than expected.
+
+    Two small biases remain, which shrink with the number of episodes in a batch: `mean` contains
+    returns that the action has influenced, and so does the number of steps B that the sum over the
+    batch is divided by.
     """
     return -(advantages * log_probs).mean()
 
@@ -291,7 +293,7 @@ def watch(args):
     """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    agent = Agent(envs.single_observation_space, envs.single_action_space, args)
+    agent = Agent(envs.single_observation_space, envs.single_action_space)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
     print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
     if "rgb_array" in envs.metadata["render_modes"]:
@@ -311,7 +313,7 @@ def run(index, args, folder):
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
+    agent = Agent(envs.single_observation_space, envs.single_action_space).to(args.device)
     optimizer = torch.optim.Adam(agent.parameters())
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
@@ -350,7 +352,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A line is a mean over the seeds and over a fiftieth of the run, its band the standard deviation.
+    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
+    lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -361,6 +364,7 @@ def report(folder, env_id):
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1
     data["env_step"] = data["env_step"] // width * width
+    data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "policy_std"]], height_ratios=(3, 1))
@@ -368,7 +372,7 @@ def report(folder, env_id):
     panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar="sd", label=labels.get(name),
+        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
                      ax=panels[name.removesuffix("_mean")])
     figure.savefig(folder / "learning_curve.png")
 

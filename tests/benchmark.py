@@ -57,8 +57,7 @@ def run_script(path, *arguments):
     """Run a script as a user would; returns its run folder. Its bars go to stderr."""
     command = [sys.executable, path, *map(str, arguments)]
     output = subprocess.check_output(command, text=True)
-    seed_folder = output.splitlines()[-1].rsplit(": ", 1)[-1]  # the last line names one
-    return Path(seed_folder).parent
+    return Path(output.splitlines()[0])
 
 
 def fresh(*task):
@@ -101,9 +100,10 @@ def begin(module, args, seed):
     torch.manual_seed(module.make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(module, args)
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
-    first_step = [] if module is reinforce else [0]
-    updates = module.train(args, seed, envs, agent, module.make_optimizer(agent), *first_step)
-    return agent, updates
+    if module is reinforce:
+        optimizer = torch.optim.Adam(agent.parameters())
+        return agent, module.train(args, seed, envs, agent, optimizer)
+    return agent, module.train(args, seed, envs, agent, module.make_optimizer(agent), 0)
 
 
 # --- Speed ----------------------------------------------------------------------------------------
@@ -545,7 +545,7 @@ BASELINES = "none", "mean", "value"
 
 
 def halfway_agent(threshold):
-    """REINFORCE's agent when its last 20 training returns average `threshold`; it has no V."""
+    """REINFORCE's agent when its last 20 training returns average `threshold`."""
     args, returns = reinforce.parse_args(["--baseline", "mean"]), []
     agent, updates = begin(reinforce, args, seed=1)
     for _, episodes, _ in updates:
@@ -553,11 +553,6 @@ def halfway_agent(threshold):
         if returns and np.mean(returns[-20:]) >= threshold:
             return args, agent
     sys.exit(f"error: argument --halfway: no 20 episodes average {threshold:g}")
-
-
-def sample_batch(args, envs, agent):
-    """The batch of an update. Returns end at time limits for all baselines: `agent` has no V."""
-    return reinforce.rollout(envs, agent, args, 0)[0]
 
 
 def fit_critic(agent, batches, steps=300):
@@ -582,11 +577,8 @@ def policy_gradients(agent, batch):
     log_probs = agent.policy(batch.obs).log_prob(batch.actions)
     rows = []
     for baseline in BASELINES:
-        b = values if baseline == "value" else torch.zeros_like(returns)
-        advantages = reinforce.compute_advantages(returns, b, baseline)
+        advantages = reinforce.compute_advantages(returns, values, baseline)
         loss = reinforce.policy_loss(log_probs, advantages)
-        if baseline == "mean":
-            loss = loss * returns.std(correction=0)  # its A was divided by that
         gradient = torch.autograd.grad(loss, list(agent.actor.parameters()), retain_graph=True)
         rows.append(torch.nn.utils.parameters_to_vector(gradient))
     return torch.stack(rows)
@@ -598,7 +590,7 @@ def measure_variance(num_batches, threshold):
     envs = make_envs(reinforce, args)
     envs.reset(seed=reinforce.make_seeds(1, stream=1000, count=1))  # not an episode of training
     torch.manual_seed(1)
-    batches = [sample_batch(args, envs, agent) for _ in range(num_batches + 50)]
+    batches = [reinforce.rollout(envs, agent, args, 0)[0] for _ in range(num_batches + 50)]
     agent = fit_critic(agent, batches[num_batches:])  # V gets episodes of its own
     batches = batches[:num_batches]
     length = sum(len(batch.obs) for batch in batches) / num_batches / args.batch_episodes
@@ -653,10 +645,11 @@ ABLATIONS = {
         "    for _ in range(args.epochs):\n": """\
     for _ in range(args.epochs):
         with torch.no_grad():
-            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
-            advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
-                                     batch.done, args.gamma, args.gae_lambda).flatten()
-            targets = advantages + values.flatten()
+            columns = (batch.rewards, agent.value(batch.obs), agent.value(batch.next_obs),
+                       batch.terminated, batch.done)
+            columns = [x.reshape(-1, args.num_envs) for x in columns]
+            batch.advantages = compute_gae(*columns, args.gamma, args.gae_lambda).flatten()
+            batch.targets = batch.advantages + agent.value(batch.obs)
 """},
     "no KL limit": ["--max-kl", "1e9"],
     "ratio not clipped": ["--clip-eps", "1e9"],
@@ -665,7 +658,7 @@ ABLATIONS = {
     "advantages not standardised": {
         "            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)\n": ""},
     "observations not normalised": {
-        "agent.obs_stats.update(batch.obs.flatten(0, 1))": "pass"},
+        "agent.obs_stats.update(batch.obs)": "pass"},
     "rewards not scaled": {
         "return rewards / return_stats.var.sqrt(), past_return": "return rewards, past_return"},
     "learning rate constant": {"remaining = 1 - env_step / args.total_steps": "remaining = 1"},
@@ -675,17 +668,18 @@ ABLATIONS = {
             "nn.init.normal_(layer.weight, std=gain / layer.in_features**0.5)"},
     "σ learns as fast as μ": ["--std-learning-rate", "1e-3"],
     "σ = 1 at first": ["--log-std", "0"],
-    "actions clipped, no tanh": {"torch.tanh(actions)": "actions.clamp(-1, 1)"},
+    "actions clipped, no tanh": {"np.tanh(actions)": "actions.clip(-1, 1)"},
     "time limits treated as deaths": {'"terminated": terminated': '"terminated": done'},
     "value loss clipped, too": {
-        "        old_log_probs = agent.policy(obs).log_prob(actions)\n": """\
-        old_log_probs = agent.policy(obs).log_prob(actions)
-        old_values = agent.value(obs)
+        "    for _ in range(args.epochs):\n": """\
+    old_values = agent.value(batch.obs).detach()
+    for _ in range(args.epochs):
 """,
-        "            loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2\n": """\
-            new = agent.value(obs[rows])
-            near = old_values[rows] + (new - old_values[rows]).clamp(-args.clip_eps, args.clip_eps)
-            loss_v = torch.max((new - targets[rows]) ** 2, (near - targets[rows]) ** 2).mean() / 2
+        "((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2\n": """\
+0.0
+            new, old, R = agent.value(batch.obs[rows]), old_values[rows], batch.targets[rows]
+            near = old + (new - old).clamp(-args.clip_eps, args.clip_eps)
+            loss_v = torch.max((new - R) ** 2, (near - R) ** 2).mean() / 2
 """},
 }
 
@@ -800,9 +794,9 @@ EXERCISES = {
     "neither clip nor KL limit": (PPO, ["--clip-eps", "1e9", "--max-kl", "1e9"]),
     "one epoch": (PPO, ["--epochs", "1"]),
     "time limits are deaths": (PPO, {'"terminated": terminated': '"terminated": done'}),
-    "states not normalised": (PPO, {"agent.obs_stats.update(batch.obs.flatten(0, 1))": "pass"}),
+    "states not normalised": (PPO, {"agent.obs_stats.update(batch.obs)": "pass"}),
     "σ stays as it is": (PPO, {
-        "args.log_std))": "args.log_std), requires_grad=False)"}),
+        "args.log_std))  #": "args.log_std), requires_grad=False)  #"}),
     "another reward": (PPO, {
         "        done = terminated | truncated\n":
             "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n"}),

@@ -39,7 +39,6 @@ def play(options="", world="harness:ThreeSteps", mean=0.0):
     batch, _, _ = ppo.rollout(envs, agent, obs, args, 0)
     batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
     batch.advantages, batch.targets = torch.randn(2, 100)
-    batch.values = torch.zeros(100)
     batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions).detach()
     return args, agent, batch
 
