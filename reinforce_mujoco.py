@@ -29,9 +29,10 @@ action, the more likely REINFORCE makes it:
      Discard the batch: the next step needs actions of the new π. Go to 1.
 
 Steps 2 to 5 are REINFORCE [1] with a baseline, and with returns counted from each step on [2].
-Implementation details are annealing, Adam, a mean over the steps of a batch, a floor under σ, a
-small last layer, actions that are clipped after log π is computed, γ^t left out of the gradient,
-and the critic's estimate of what a time limit cuts off [3]; so every baseline trains a critic.
+Implementation details are annealing, Adam, a mean over the steps of a batch, a floor under σ,
+orthogonal initialisation with a small last layer of π, actions that are clipped after log π is
+computed, γ^t left out of the gradient, and the critic's estimate of what a time limit cuts off [3];
+so every baseline trains a critic.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -69,14 +70,12 @@ from tqdm import tqdm
 class Agent(nn.Module):
     """The actor π(a|s) = Normal(μ(s), σ(s)) and the critic V(s)."""
 
-    def __init__(self, observation_space, action_space):
+    def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        self.actor = nn.Sequential(nn.Linear(inputs, 16), nn.Tanh(), nn.Linear(16, 32), nn.Tanh(),
-                                   nn.Linear(32, 2 * outputs))
-        nn.init.normal_(self.actor[-1].weight, std=0.01)  # at first μ and σ hardly depend on s
-        self.critic = nn.Sequential(
-            nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), nn.Linear(64, 1))
+        # At first μ and σ hardly depend on s.
+        self.actor = mlp(inputs, args.hidden_size, 2 * outputs, output_gain=0.01)
+        self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -97,6 +96,15 @@ class Agent(nn.Module):
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
+
+
+def mlp(inputs, hidden, outputs, output_gain):
+    """Two hidden layers of tanh units, a linear output layer; orthogonal weights, zero biases."""
+    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
 # --- The steps ------------------------------------------------------------------------------------
@@ -233,6 +241,7 @@ def parse_args(argv=None):
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
     add("--learning-rate", type=number(float, 0), default=1e-2, help="of actor and critic")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
+    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     return check(parser, argv)
 
 
@@ -293,7 +302,7 @@ def watch(args):
     """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    agent = Agent(envs.single_observation_space, envs.single_action_space)
+    agent = Agent(envs.single_observation_space, envs.single_action_space, args)
     agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
     print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
     if "rgb_array" in envs.metadata["render_modes"]:
@@ -313,7 +322,7 @@ def run(index, args, folder):
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    agent = Agent(envs.single_observation_space, envs.single_action_space).to(args.device)
+    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = torch.optim.Adam(agent.parameters())
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0

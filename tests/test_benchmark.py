@@ -1,4 +1,4 @@
-"""The studies of benchmark.py: what they compute from runs, and what they change in a script."""
+"""tests/benchmark: what is run and what is not run again, variants, reports, merging."""
 
 import importlib.util
 import json
@@ -9,13 +9,18 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
-import benchmark
 import harness
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from benchmark import ablation, common, merge, race, reports
+from benchmark.__main__ import STUDIES, main
+from benchmark.common import PPO, Job
+
+VARIANTS = sorted(x.stem for x in common.VARIANTS.glob("*.patch"))
 
 
 class Timed(harness.World):
@@ -28,103 +33,189 @@ class Timed(harness.World):
 harness.register("Timed", Timed, limit=8, length=None)
 
 
-def weights_after_training(path, flags):
+# --- Variants -------------------------------------------------------------------------------------
+
+
+def weights_after_training(folder, variant):
+    path = common.write_script(Job(PPO, variant=variant), folder)
     spec = importlib.util.spec_from_file_location("variant", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    sizes = ["--num-envs", "4", "--rollout-steps", "50", "--total-steps", "600"]
-    args = module.parse_args(
-        ["--env-id", "Timed-v0", "--learning-rate", "0.02", *sizes, *flags])
-    agent, updates = benchmark.begin(module, args, seed=1)
-    assert len(list(updates)) == 1 + 3
+    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.02"
+    args = module.parse_args(["--env-id", "Timed-v0", *sizes.split()])
+    torch.manual_seed(0)
+    envs = module.make_envs(args.env_id, args.num_envs, "Disabled")
+    agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
+    assert len(list(module.train(args, 1, envs, agent, module.make_optimizer(agent), 0))) == 1 + 3
     return torch.cat([x.flatten() for x in agent.parameters()])
 
 
+def test_each_variant_applies_runs_and_learns_something_else(tmp_path):
+    usual = weights_after_training(tmp_path, "")
+    for variant in VARIANTS:
+        weights = weights_after_training(tmp_path, variant)
+        assert weights.isfinite().all()
+        assert not torch.equal(weights, usual), variant
+
+
+def test_every_variant_is_used_and_every_change_can_be_made():
+    changes = [*ablation.CHANGES.values()]
+    changes += [x for _, x in importlib.import_module("benchmark.exercises").CHANGES.values()]
+    used = {ablation.changed(change)[1] for change in changes} - {""}
+    assert used == set(VARIANTS)
+
+
+# --- What is run ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def study(monkeypatch):
+    """A study of two jobs that counts its measurements."""
+    measured = []
+
+    def measure(job):
+        measured.append(job.seed)
+        return pd.DataFrame({"env_id": "World-v0", "env_step": [0, 8], "return_mean": [0.5, 1.5]})
+
+    fake = SimpleNamespace(jobs=lambda quick: [Job(PPO, 1), Job(PPO, 2)], measure=measure,
+                           ALONE=True, measured=measured)
+    monkeypatch.setitem(sys.modules, "benchmark.fake", fake)
+    return fake
+
+
+def test_what_has_rows_is_not_run_again_and_rows_of_an_older_text_are_replaced(
+        study, tmp_path, monkeypatch):
+    for _ in range(2):
+        common.run("fake", False, tmp_path)
+        assert study.measured == [1, 2]
+    data, (machine,) = common.read_rows(tmp_path / "fake.csv")
+    assert machine == common.machine()
+    assert data["seed"].tolist() == [1, 1, 2, 2]
+    assert data["return_mean"].tolist() == [0.5, 1.5, 0.5, 1.5]
+    assert common.outdated(data) == 0
+    monkeypatch.setattr(common, "digest", lambda *_: "another text")
+    assert common.outdated(data) == 4
+    common.run("fake", False, tmp_path)
+    assert study.measured == [1, 2, 1, 2]
+    data, _ = common.read_rows(tmp_path / "fake.csv")
+    assert data["digest"].tolist() == ["another text"] * 4
+
+
+def test_a_call_that_ends_early_keeps_its_rows_and_the_next_goes_on(study, tmp_path):
+    measure = study.measure
+
+    def interrupted(job):
+        if job.seed == 2:
+            raise KeyboardInterrupt
+        return measure(job)
+
+    study.measure = interrupted
+    with pytest.raises(KeyboardInterrupt):
+        common.run("fake", False, tmp_path)
+    assert common.read_rows(tmp_path / "fake.csv")[0]["seed"].tolist() == [1, 1]
+    study.measure = measure
+    common.run("fake", False, tmp_path)
+    assert study.measured == [1, 2]
+
+
+@pytest.mark.parametrize(("old", "new", "same"), [
+    ("# --- The steps", "# --- Steps", True), ('"""PPO: prox', '"""The prox', True),
+    ('    """Step 2: T steps', '    """T steps', True), ("default=0.99,", "default=0.98,", False)])
+def test_only_what_python_executes_is_in_the_digest(old, new, same, tmp_path, monkeypatch):
+    before = common.digest.__wrapped__(PPO)
+    text = (common.ROOT / f"{PPO}.py").read_text(encoding="utf-8")
+    assert old in text
+    (tmp_path / f"{PPO}.py").write_text(text.replace(old, new), encoding="utf-8")
+    monkeypatch.setattr(common, "ROOT", tmp_path)
+    assert (common.digest.__wrapped__(PPO) == before) == same
+
+
 @pytest.fixture(scope="module")
-def usual_weights(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("usual")
-    return weights_after_training(*benchmark.write_variant([], folder))
+def trial(tmp_path_factory):
+    """Where the rows of a quick run of each study lie; those with peers only where they are."""
+    folder = tmp_path_factory.mktemp("trial")
+    peers = importlib.util.find_spec("stable_baselines3")
+    for name in STUDIES:
+        if peers or name not in ("race", "speed"):
+            main(["run", name, "--quick", "--out-dir", str(folder)])
+    return folder
 
 
-@pytest.mark.parametrize("name", [x for x in benchmark.ABLATIONS if x != "defaults"])
-def test_each_variant_of_the_ablation_runs_and_learns_something_else(
-        name, usual_weights, tmp_path):
-    path, flags = benchmark.write_variant(benchmark.ABLATIONS[name], tmp_path)
-    weights = weights_after_training(path, flags)
-    assert weights.isfinite().all()
-    assert not torch.equal(weights, usual_weights)
+@pytest.mark.slow
+def test_a_quick_run_of_each_study_leaves_rows_in_the_one_format(trial):
+    assert len(list(trial.glob("*.csv"))) >= len(STUDIES) - 2
+    for path in trial.glob("*.csv"):
+        data, machines = common.read_rows(path)
+        assert list(data)[:len(common.KEYS)] == common.KEYS
+        assert {"env_id"} <= set(data)
+        assert len(machines) == 1
+    if common.DATA.exists():
+        assert not any("--total-steps 256" in x.read_text() for x in common.DATA.glob("*.csv"))
 
 
-def test_every_exercise_changes_what_it_says(tmp_path):
-    for i, (script, change) in enumerate(benchmark.EXERCISES.values()):
-        path, flags = benchmark.write_variant(change, tmp_path / str(i), script)
-        assert benchmark.SCRIPTS[script].parse_args(flags)
-        compile(path.read_text(encoding="utf-8"), path, "exec")
+# --- Reports --------------------------------------------------------------------------------------
 
 
-def test_a_variant_whose_text_is_not_there_is_an_error(tmp_path):
-    with pytest.raises(SystemExit, match="no such line"):
-        benchmark.write_variant({"no such line": ""}, tmp_path)
+@pytest.mark.slow
+def test_a_report_brings_all_up_to_date_and_says_what_is_not(trial, tmp_path, monkeypatch):
+    pytest.importorskip("scipy")
+    docs = tmp_path / "docs"
+    docs.mkdir()
+    shutil.copytree(trial, docs / "data")
+    for name, value in {"ROOT": tmp_path, "DOCS": docs, "DATA": docs / "data"}.items():
+        monkeypatch.setattr(common, name, value)
+    monkeypatch.setattr(common, "outdated", lambda _: 0)
+    (tmp_path / "README.md").write_text("Before.\n<!-- report: returns.usual - -->\n<!-- end -->\n")
+    main(["report"])
+    main(["report", "--check"])
+    text = (tmp_path / "README.md").read_text()
+    assert "| `ppo_continuous.py` |" in text
+    assert text.startswith("Before.\n")
+    assert (docs / "ablation.png").exists()
+    before = {x: x.stat().st_mtime_ns for x in tmp_path.rglob("*")}
+    main(["report"])
+    assert {x: x.stat().st_mtime_ns for x in tmp_path.rglob("*")} == before
+    (tmp_path / "README.md").write_text(text.replace(" ± ", " + "))
+    (docs / "ablation.png").unlink()
+    assert reports.stale(STUDIES) == ["README.md: table returns.usual", "docs/ablation.png"]
+    with pytest.raises(SystemExit, match="ablation.png"):
+        main(["report", "--check"])
+    rows = (docs / "data/scaling.csv").read_text()
+    (docs / "data/scaling.csv").write_text(rows.replace("LunarLander", "Lander"))
+    assert "docs/scaling.png" in reports.stale(STUDIES)
+    main(["report"])
+    main(["report", "--check"])
+
+
+def test_what_is_in_docs_is_up_to_date():
+    assert reports.stale(STUDIES) == []
 
 
 def test_the_interval_of_a_difference_is_that_of_student_and_welch():
-    a, b = pd.Series([1.0, 2, 3, 4, 5]), pd.Series([2.0, 3, 4, 5, 6])
-    gap, error, margin = benchmark.difference(a, b)
+    pytest.importorskip("scipy")
+    a, b = [1.0, 2, 3, 4, 5], [2.0, 3, 4, 5, 6]
+    gap, error, margin = common.difference(a, b)
     assert gap == -1
-    assert error == 1
+    assert error == pytest.approx(1)
     # equal variances of 2.5, so 8 degrees of freedom, of which the table says 2.306
-    assert margin == pytest.approx(2.306 * math.sqrt(2.5 / 5 + 2.5 / 5), rel=0.02)
-    _, _, margin = benchmark.difference(a, pd.Series([7.0] * 5))  # 4 degrees: 2.776
-    assert margin == pytest.approx(2.776 * math.sqrt(2.5 / 5), rel=0.02)
+    assert margin == pytest.approx(2.306 * math.sqrt(2.5 / 5 + 2.5 / 5), rel=1e-3)
 
 
-def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
-    assert benchmark.interquartile_mean(np.array([100.0, 3, 1, -50, 2, 4, 5, 6])) == 3.5
-
-
-def test_only_a_run_that_came_to_its_end_counts_as_finished(tmp_path):
-    folder = tmp_path / "MyEnv-v0__ppo_continuous__1"
-    (folder / "seed-3").mkdir(parents=True)
-    (folder / "args.json").write_text(json.dumps({"total_steps": 100}))
-    for steps, expected in ((50, None), (104, folder)):
-        pd.DataFrame({"env_step": [0, steps]}).to_csv(folder / "seed-3/evals.csv", index=False)
-        assert benchmark.finished_run(tmp_path, "MyEnv-v0", 3, 100) == expected
-    assert benchmark.finished_run(tmp_path, "MyEnv-v0", 3, 50) is None  # a study of other length
-    assert benchmark.finished_run(tmp_path, "MyEnv-v0", 4, 100) is None
-
-
-def test_runs_of_another_version_of_the_script_are_not_mixed_in(tmp_path):
-    path, _ = benchmark.write_variant([], tmp_path)
-    benchmark.write_variant([], tmp_path)
-    path.write_text("# an older version")
-    with pytest.raises(SystemExit, match="another version"):
-        benchmark.write_variant([], tmp_path)
-
-
-def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end(tmp_path, monkeypatch, capsys):
+def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
     """Ours earns 10 a minute and the peer 1, for ten minutes; seed 2 is half as good in both."""
-    runs = []
-
-    def fresh(function, script, env_id, steps, seed, count):
-        runs.append((function, seed))
-        rate = (10 if function is benchmark.our_race else 1) / seed
-        return [{"env_step": 100 * i, "minutes": float(i), "return": rate * i} for i in range(11)]
-
-    monkeypatch.setattr(benchmark, "fresh", fresh)
-    arguments = ["race", "--script", "a2c_vector", "--seed", "1", "2", "--out-dir", str(tmp_path)]
-    for _ in range(2):
-        benchmark.race(benchmark.parse_args(arguments))
-        (row,) = re.findall(r"^.*stable-baselines3.*$", capsys.readouterr().out, re.MULTILINE)
-        # 7.5 in the mean of 10 and 5, after 1 and 2 whole minutes: 10 minutes / 1.5
-        assert row.split("|")[3:] == [" 10, 5 ", " 10.0 ", " 1.00, 2.00 ", " 7 ", ""]
-        assert len(runs) == 4  # the second call has read what the first one has run
-    assert {"race.csv", "race.png"} < {x.name for x in tmp_path.iterdir()}
-    data = pd.read_csv(tmp_path / "race.csv")
-    data.loc[data["learner"] == "ours", "return"] -= 100
-    assert benchmark.race_rows(data)[1][4:] == ["never, never", "–"]
+    data = pd.DataFrame([
+        {"env_id": "World", "part": part, "seed": seed, "minutes": float(minute),
+         "return_mean": minute * (10 if part == race.OURS else 1) / seed}
+        for part in race.LEARNERS for seed in (1, 2) for minute in range(11)])
+    ours, peer, _ = race.rows(data)
+    # 7.5 in the mean of 10 and 5, after 1 and 2 whole minutes: 10 minutes / 1.5
+    assert peer[2:] == ["10, 5", "10.0", "1.00, 2.00", "7"]
+    assert ours[2:] == ["100, 50", "10.0", "", ""]
+    data.loc[data["part"] == race.OURS, "return_mean"] -= 100
+    assert race.rows(data)[1][4:] == ["never, never", "–"]
 
 
-# --- Studies of many calls ------------------------------------------------------------------------
+# --- Merging --------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -144,92 +235,45 @@ def ten_calls(tmp_path_factory):
     return sorted((cwd / "runs").iterdir())
 
 
-def merge(folders, out_dir, capsys, monkeypatch):
-    """`benchmark.py returns --runs FOLDER …`: what it printed, or said before it gave up."""
-    capsys.readouterr()
-    command = ["benchmark.py", "returns", "--out-dir", str(out_dir), "--runs", *map(str, folders)]
-    monkeypatch.setattr(sys, "argv", command)
-    try:
-        benchmark.main()
-    except SystemExit as end:
-        return str(end.code)
-    return capsys.readouterr().out
-
-
-def rewrite(folder, **changes):
-    file = folder / "args.json"
-    file.write_text(json.dumps({**harness.read_json(file), **changes}))
+def copy(folder, path, **changes):
+    shutil.copytree(folder, path)
+    config = {**harness.read_json(path / "args.json"), **changes}
+    (path / "args.json").write_text(json.dumps(config))
+    return path
 
 
 @pytest.mark.skipif(shutil.which("xargs") is None, reason="has no xargs")
 class TestMerging:
-    def test_calls_in_the_same_moment_each_have_a_folder_of_their_own(self, ten_calls):
-        assert len(ten_calls) == 10
+    def test_calls_in_the_same_moment_each_have_a_folder_and_make_one_table_and_figure(
+            self, ten_calls, tmp_path, capsys):
         seeds = [harness.read_json(folder / "args.json")["seed"] for folder in ten_calls]
         assert sorted(seeds) == [[seed] for seed in range(1, 11)]
-        for folder, (seed,) in zip(ten_calls, seeds):
-            assert [x.name for x in folder.glob("seed-*")] == [f"seed-{seed}"]
+        main(["merge", *map(str, ten_calls), "--out-dir", str(tmp_path)])
+        (row,) = [x for x in capsys.readouterr().out.splitlines() if "ThreeSteps" in x]
+        assert "| 10 | 3.0 ± 0.0 |" in row
+        assert (tmp_path / "merged.png").exists()
+        assert sorted(set(pd.read_csv(tmp_path / "merged.csv")["seed"])) == list(range(1, 11))
 
-    def test_ten_calls_make_the_same_table_as_one_with_ten_seeds(
-            self, ten_calls, tmp_path, capsys, monkeypatch):
-        one = tmp_path / "one call"
-        shutil.copytree(ten_calls[0], one)
-        rewrite(one, seed=list(range(1, 11)))
-        for folder in ten_calls[1:]:
-            shutil.copytree(next(folder.glob("seed-*")), one / next(folder.glob("seed-*")).name)
-        tables = []
-        for folders in (ten_calls, ten_calls[::-1], [one]):
-            out = merge(folders, tmp_path, capsys, monkeypatch)
-            tables.append([x for x in out.splitlines() if x.startswith("| harness:ThreeSteps")])
-            data = pd.read_csv(tmp_path / "returns.csv")
-            assert data["seed"].tolist() == list(range(1, 11))
-            assert "different packages" not in out
-        assert len(tables[0]) == 1
-        assert tables[0] == tables[1] == tables[2]
-
-    def test_all_runs_that_cannot_count_are_named(
-            self, ten_calls, tmp_path, capsys, monkeypatch):
-        cut, twice, empty = (tmp_path / name for name in ("cut", "twice", "empty"))
-        for source, copy in zip(ten_calls[:3], (cut, twice, empty)):
-            shutil.copytree(source, copy)
+    def test_what_cannot_count_is_named_and_left_out(self, ten_calls, tmp_path, capsys):
+        cut, empty = copy(ten_calls[0], tmp_path / "cut"), copy(ten_calls[2], tmp_path / "empty")
         (evals,) = cut.glob("*/evals.csv")
         pd.read_csv(evals).iloc[:1].to_csv(evals, index=False)  # killed after its first evaluation
         (seed,) = empty.glob("seed-*")
         shutil.rmtree(seed)
-        text = merge([*ten_calls[1:2], cut, twice, empty], tmp_path, capsys, monkeypatch)
-        assert text.startswith("error: these runs cannot count")
-        (number,) = harness.read_json(cut / "args.json")["seed"]
-        assert f"{cut}: seed {number} ended at 0 of 32" in text
-        assert f"{empty}: {seed.name.replace('-', ' ')} has saved nothing" in text
-        assert f"is in {ten_calls[1]}, too" in text
-        assert not (tmp_path / "returns.csv").exists()
+        data = merge.collect([ten_calls[1], ten_calls[1], cut, empty, tmp_path])
+        assert data["seed"].nunique() == 1
+        out = capsys.readouterr().out
+        for words in "was cut off", "saved nothing", f"is in {ten_calls[1]}, too", "no run folder":
+            assert words in out
 
-    def test_a_folder_that_is_given_twice_counts_as_a_seed_that_comes_twice(
-            self, ten_calls, tmp_path, capsys, monkeypatch):
-        text = merge([ten_calls[0], ten_calls[0]], tmp_path, capsys, monkeypatch)
-        assert f"is in {ten_calls[0]}, too" in text
-
-    def test_other_flags_and_lengths_get_a_row_of_their_own(
-            self, ten_calls, tmp_path, capsys, monkeypatch):
-        folders = [tmp_path / name for name in ("usual", "no discount", "shorter")]
-        for copy in folders:
-            shutil.copytree(ten_calls[0], copy)
-        rewrite(folders[1], gamma=0.5)
-        rewrite(folders[2], total_steps=16)
-        out = merge(folders, tmp_path, capsys, monkeypatch)
-        assert sum(x.startswith("| harness:ThreeSteps") for x in out.splitlines()) == 3
-        assert "--gamma 0.5" in out
-
-    def test_different_package_versions_are_named(self, ten_calls, tmp_path, capsys, monkeypatch):
-        other = tmp_path / "other"
-        shutil.copytree(ten_calls[1], other)
-        versions = harness.read_json(other / "args.json")["versions"]
-        rewrite(other, versions={**versions, "mujoco": "2.0"})
-        out = merge([ten_calls[0], other], tmp_path, capsys, monkeypatch)
-        (line,) = [x for x in out.splitlines() if x.startswith(f"{other}: ")]
-        assert '"mujoco": "2.0"' in line
-
-
-def test_a_flag_without_a_value_is_shown_as_it_is_written():
-    config = {"randomize": True, "watch": False, "num_envs": 4}
-    assert benchmark.written_flags(config, config) == "--randomize --num-envs 4"
+    def test_other_flags_lengths_and_changed_copies_get_rows_of_their_own(
+            self, ten_calls, tmp_path, capsys):
+        folders = [copy(ten_calls[0], tmp_path / "usual"),
+                   copy(ten_calls[0], tmp_path / "no discount", gamma=0.5),
+                   copy(ten_calls[0], tmp_path / "shorter", total_steps=16),
+                   copy(ten_calls[0], tmp_path / "mine", command=["my_ppo.py"])]
+        merge.merge(folders, tmp_path / "out")
+        rows = [x for x in capsys.readouterr().out.splitlines() if "ThreeSteps" in x]
+        assert len(rows) == 4
+        assert "--gamma 0.5" in rows[1]
+        assert rows[3].startswith("| my_ppo |")

@@ -31,7 +31,7 @@ def make(options="", env="ThreeSteps-v0"):
     args = rf.parse_args(["--env-id", env, *options.split()])
     envs = rf.make_envs(args.env_id, 1, "Disabled")
     envs.reset(seed=1)
-    return args, envs, rf.Agent(envs.single_observation_space, envs.single_action_space)
+    return args, envs, rf.Agent(envs.single_observation_space, envs.single_action_space, args)
 
 
 def train(args, envs, agent, seed=1):

@@ -12,6 +12,7 @@ DIFFERENT = {
     "Agent", "check", "main", "make_envs", "make_optimizer", "mlp", "optimise", "parse_args",
     "policy_loss", "report", "rollout", "run", "train"}
 ALIKE_IN_TWO = {"main": {"reinforce_mujoco", "ppo_continuous"},
+                "mlp": {"reinforce_mujoco", "ppo_continuous"},
                 "rollout": {"a2c_vector", "ppo_continuous"}}
 
 

@@ -1,19 +1,20 @@
-"""together.py of the README: PPO that plays in several processes, started by torchrun."""
+"""docs/together.py: PPO that plays in several processes, started by torchrun."""
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import benchmark
 import harness
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from benchmark import common
 
 import ppo_continuous as ppo
 
@@ -62,7 +63,8 @@ def finish(process):
 
 
 def write_probe(cwd, probe=PROBE):
-    benchmark.write_recipe(cwd)
+    for file in "ppo_continuous.py", "docs/together.py":
+        shutil.copy(harness.ROOT / file, cwd)
     (cwd / "probe.py").write_text(probe)
 
 
@@ -112,7 +114,7 @@ def test_the_first_update_is_that_of_one_process_with_all_environments(together,
 
     monkeypatch.setattr(ppo, "rollout", with_the_others)
     args = ppo.parse_args([*SMALL, "--total-steps", "192"])
-    agent, updates = benchmark.begin(ppo, args, seed=1)
+    _, agent, updates = common.begin("ppo_continuous", args, seed=1)
     next(updates)
     next(updates)
     for name, x in agent.state_dict().items():

@@ -1,0 +1,105 @@
+"""Return against minutes: ours, and stable-baselines3 with its defaults and its zoo's settings."""
+
+import math
+import time
+
+import pandas as pd
+import seaborn as sns
+from benchmark import common, peers
+from benchmark.common import A2C, PPO, Job, number
+
+FIGURES = "ppo_race", "a2c_race"
+STEPS = 1_000_000
+TASKS = {PPO: ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"], A2C: ["LunarLander-v3"]}
+OURS = "ours"
+LEARNERS = OURS, "stable-baselines3, defaults", "stable-baselines3, its zoo's settings"
+
+
+def jobs(quick):
+    size = "--total-steps 2048 --num-evals 1" if quick else f"--total-steps {STEPS} --num-evals 50"
+    return [Job(script, seed, f"--env-id {env_id} {size}", part=learner)
+            for script, env_ids in TASKS.items() for env_id in env_ids[:1 if quick else None]
+            for seed in ([1] if quick else [1, 2, 3, 4, 5]) for learner in LEARNERS]
+
+
+class Track:
+    """Evaluations of one training at even steps, against its seconds; their own do not count."""
+
+    def __init__(self, script, args, seed):
+        self.script, self.seed, self.pause = script, seed, args.total_steps / args.num_evals
+        self.envs = script.make_envs(args.env_id, 5, "NextStep")
+        self.seconds, self.start, self.rows = 0.0, time.perf_counter(), []
+
+    def visit(self, env_step, agent, last=False):
+        if env_step >= len(self.rows) * self.pause or last:
+            self.seconds += time.perf_counter() - self.start
+            result = self.script.evaluate(agent, self.envs, self.seed)
+            self.rows.append({"env_step": env_step, "seconds": self.seconds,
+                              "return_mean": result["return_mean"]})
+            self.start = time.perf_counter()
+
+
+def measure(job):
+    return common.fresh(race, job)
+
+
+def race(job):
+    script = common.load(job.script)
+    args = script.parse_args(job.flags.split())
+    if job.part == OURS:
+        _, agent, updates = common.begin(job.script, args, job.seed)
+        track = Track(script, args, job.seed)
+        for env_step, *_ in updates:
+            track.visit(env_step, agent)
+    else:  # A2C's environments take the peer's actions as they are
+        track = Track(common.load(A2C), args, job.seed)
+        peers.learn(job.script, args, job.seed, "zoo" in job.part, track.visit)
+    return pd.DataFrame(track.rows).assign(env_id=args.env_id)
+
+
+def report(data, draw):
+    tables = {}
+    for script, name in (PPO, "ppo"), (A2C, "a2c"):
+        x = data[data["script"] == script].assign(minutes=lambda x: x["seconds"] / 60)
+        if len(x):
+            tables[name] = common.table(
+                ["task", "learner", "final return, each seed", "minutes",
+                 "minutes until ours has the mean of these returns", "ratio"], rows(x))
+            draw(picture(x, script), f"{name}_race")
+    return tables
+
+
+def rows(data):
+    """For each learner: final returns, minutes, when ours had their mean, how many times sooner."""
+    found = []
+    for env_id, runs in data.groupby("env_id", sort=False):
+        ours = runs[runs["part"] == OURS]
+        for learner in LEARNERS:
+            x = runs[runs["part"] == learner]
+            last = x.groupby("seed")[["minutes", "return_mean"]].last()
+            passed = ours[ours["return_mean"] >= last["return_mean"].mean()]
+            passed = passed.groupby("seed")["minutes"].first()
+            passed = passed.reindex(ours["seed"].unique(), fill_value=math.inf)
+            ratio = last["minutes"].mean() / passed.median()
+            rest = ["", ""] if learner == OURS else [
+                ", ".join(f"{y:.2f}" if y < math.inf else "never" for y in passed),
+                f"{ratio:.0f}" if ratio else "–"]
+            found.append([env_id, learner, ", ".join(number(y, 0) for y in last["return_mean"]),
+                          number(last["minutes"].mean()), *rest])
+    return found
+
+
+def picture(data, script):
+    """A logarithmic axis, for ours are done when the others have just begun."""
+    env_ids = data["env_id"].unique()
+    grid = sns.relplot(data[data["minutes"] > 0.02], x="minutes", y="return_mean", hue="part",
+                       hue_order=LEARNERS, col="env_id", units="seed", estimator=None, kind="line",
+                       height=3.2, facet_kws={"sharey": False}, aspect=1 if len(env_ids) > 1 else 2)
+    grid.set(xscale="log").set_titles("{col_name}")
+    grid.set_axis_labels("minutes of training", "return in evaluation")
+    grid.legend.set_title("")
+    for axis in grid.axes.flat:
+        axis.xaxis.set_major_formatter("{x:g}")
+    if script == A2C:
+        grid.set(ylim=(-600, 300)).set_titles("{col_name} (cut at −600)")
+    return grid

@@ -1,0 +1,132 @@
+"""Returns after training: PPO on ten tasks, A2C and REINFORCE on their own."""
+
+import gymnasium as gym
+import numpy as np
+import seaborn as sns
+from benchmark import common
+from benchmark.common import A2C, PPO, REINFORCE, number, spread
+
+FIGURES = "ppo_returns", PPO, A2C, REINFORCE
+# The highest mean of several seeds that was published for PPO within a million steps, on -v1 to -v4
+# of these tasks, with sampled actions. [1]: the PPO paper, [2]: Kostrikov's PPO (both read off
+# figures, as listed by Tianshou), [3]: Tianshou's PPO (its data at 983,040 steps), [5]: CleanRL's
+# ppo_continuous_action, [6]: Spinning Up's PPO.
+PUBLISHED = {
+    "InvertedPendulum-v5": (1000, "[1]"),
+    "InvertedDoublePendulum-v5": (8695, "[3]"),
+    "Reacher-v5": (-4.6, "[3]"),
+    "Pusher-v5": (-40, "[5]"),
+    "Swimmer-v5": (120, "[6]"),
+    "Hopper-v5": (2483, "[3]"),
+    "HalfCheetah-v5": (5780, "[3]"),
+    "Walker2d-v5": (4000, "[2]"),
+    "Ant-v5": (3258, "[3]"),
+    "Humanoid-v5": (787, "[3]"),
+}
+MILLION = "--total-steps 1000000"
+
+
+def jobs(quick):
+    found = [x for script in (PPO, A2C, REINFORCE) for x in common.training_jobs(script, quick)]
+    tasks = list(PUBLISHED)[:1] if quick else PUBLISHED
+    for env_id in tasks:
+        found += common.training_jobs(PPO, quick, f"--env-id {env_id} {'' if quick else MILLION}")
+    return found
+
+
+measure = common.train
+
+
+def random_return(env_id, num_episodes=20):
+    """Mean return of actions that are drawn evenly from all that there are."""
+    env = gym.wrappers.RecordEpisodeStatistics(gym.make(env_id))
+    env.action_space.seed(1)
+    for episode in range(num_episodes):
+        env.reset(seed=episode)
+        done = False
+        while not done:
+            _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            done = terminated or truncated
+    return np.mean(env.return_queue)
+
+
+def interquartile_mean(scores):
+    """The mean without the lowest and the highest quarter (Agarwal et al. 2021)."""
+    from scipy.stats import trim_mean
+
+    return trim_mean(scores, 0.25)
+
+
+def score(runs, column):
+    """Interquartile mean of scores, 0 for random actions and 1 for what was published; its 95%."""
+    scores = []
+    for env_id, x in runs.groupby("env_id", sort=False):
+        low, high = random_return(env_id), PUBLISHED[env_id][0]
+        scores.append(((x[column] - low) / (high - low)).to_numpy())
+    random = np.random.default_rng(1)
+    again = [interquartile_mean(np.concatenate([random.choice(x, len(x)) for x in scores]))
+             for _ in range(2000)]
+    low, high = np.quantile(again, (0.025, 0.975))
+    return f"{interquartile_mean(np.concatenate(scores)):.2f} ({low:.2f} to {high:.2f})"
+
+
+def report(data, draw):
+    last = common.last_rows(data)
+    usual = {}
+    for script in (PPO, A2C, REINFORCE):
+        x = last[last["script"].eq(script) & last["flags"].eq("")]
+        usual[script] = x
+        if len(x):
+            curve(data[data["script"].eq(script) & data["flags"].eq("")], draw, script)
+    suite = last[last["flags"].str.endswith(MILLION)]
+    rows = []
+    for env_id, (published, source) in PUBLISHED.items():
+        x = suite[suite["env_id"] == env_id]
+        if len(x):
+            mean, every = spread(x["return_mean"])
+            sampled = number(x["train_return"].mean())
+            rows.append([env_id, mean, every, sampled, f"{published:,} {source}".replace("-", "−")])
+    curves = data[data["flags"].str.endswith(MILLION)]
+    if len(curves):
+        draw(panels(curves), "ppo_returns")
+    return {
+        "ppo": common.table(["task", "mean ± std", "seeds 1 to 5", "sampled actions", "published"],
+                            rows),
+        "score": f"Deterministic {score(suite, 'return_mean')}, sampled "
+                 f"{score(suite, 'train_return')}." if len(suite) else "",
+        "usual": common.table(
+            ["script", "mean ± std", "every seed", "minutes"],
+            [[f"`{script}.py`", *spread(x["return_mean"]), number(x["seconds"].mean() / 60)]
+             for script, x in usual.items() if len(x) > 1]),
+    }
+
+
+def curve(data, draw, script):
+    """Evaluation returns of all seeds, small enough to stand below a GIF."""
+    figure = common.figure(4, 2.8)
+    axis = figure.add_subplot()
+    sns.lineplot(common.in_bins(data, "return_mean", "env_id"), x="env_step", y="return_mean",
+                 errorbar=("pi", 100), ax=axis)
+    threshold = gym.spec(data["env_id"].iloc[0]).reward_threshold
+    axis.axhline(threshold, color="grey", linestyle="--", linewidth=1)
+    axis.text(axis.get_xlim()[1], threshold, f"solved: {threshold:g} ", va="top", ha="right")
+    axis.set(ylabel="return in evaluation", title=f"{data['seed'].nunique()} seeds: mean, range")
+    if script == A2C:
+        axis.set_ylim(bottom=-600)
+        axis.set_title("10 seeds: mean, range (cut at −600)")
+    common.steps_axis(axis)
+    draw(figure, script)
+
+
+def panels(data):
+    """A panel per task: mean, lowest and highest over seeds, and what was published."""
+    grid = sns.relplot(common.in_bins(data, "return_mean", "env_id"), x="env_step", y="return_mean",
+                       col="env_id", col_wrap=5, height=2.6, kind="line", errorbar=("pi", 100),
+                       aspect=0.9, facet_kws={"sharex": False, "sharey": False})
+    grid.set_titles("{col_name}").set_ylabels("return in evaluation")
+    for env_id, axis in grid.axes_dict.items():
+        axis.axhline(PUBLISHED[env_id][0], color="grey", linestyle="--", linewidth=1)
+        common.steps_axis(axis)
+    grid.figure.suptitle(f"PPO, {data['seed'].nunique()} seeds: mean, lowest, highest; "
+                         "dashed: the highest mean published", y=1.02)
+    return grid
