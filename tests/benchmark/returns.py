@@ -23,14 +23,16 @@ PUBLISHED = {
     "Ant-v5": (3258, "[3]"),
     "Humanoid-v5": (787, "[3]"),
 }
-MILLION = "--total-steps 1000000"
+DEFAULT, MILLION = "default", "a million steps"  # the two parts of this study
 
 
 def jobs(quick):
-    found = [x for script in (PPO, A2C, REINFORCE) for x in common.training_jobs(script, quick)]
+    found = [x for script in (PPO, A2C, REINFORCE)
+             for x in common.training_jobs(script, quick, part=DEFAULT)]
     tasks = list(PUBLISHED)[:1] if quick else PUBLISHED
     for env_id in tasks:
-        found += common.training_jobs(PPO, quick, f"--env-id {env_id} {'' if quick else MILLION}")
+        flags = f"--env-id {env_id}{'' if quick else ' --total-steps 1000000'}"
+        found += common.training_jobs(PPO, quick, flags, part=MILLION)
     return found
 
 
@@ -71,33 +73,26 @@ def score(runs, column):
 
 
 def report(data, draw):
-    last = common.last_rows(data)
-    usual = {}
-    for script in (PPO, A2C, REINFORCE):
-        x = last[last["script"].eq(script) & last["flags"].eq("")]
-        usual[script] = x
-        if len(x):
-            curve(data[data["script"].eq(script) & data["flags"].eq("")], draw, script)
-    suite = last[last["flags"].str.endswith(MILLION)]
-    rows = []
+    last, rows, usual = common.last_rows(data), [], []
+    for script, curves in data[data["part"] == DEFAULT].groupby("script", sort=False):
+        curve(curves, draw, script)
+        x = last[last["part"].eq(DEFAULT) & last["script"].eq(script)]
+        minutes = number(x["seconds"].mean() / 60)
+        usual.append([f"`{script}.py`", *spread(x["return_mean"]), minutes])
+    suite = last[last["part"] == MILLION]
     for env_id, (published, source) in PUBLISHED.items():
         x = suite[suite["env_id"] == env_id]
         if len(x):
             mean, every = spread(x["return_mean"])
             sampled = number(x["train_return"].mean())
             rows.append([env_id, mean, every, sampled, f"{published:,} {source}".replace("-", "−")])
-    curves = data[data["flags"].str.endswith(MILLION)]
-    if len(curves):
-        draw(panels(curves), "ppo_returns")
+    draw(panels(data[data["part"] == MILLION]), "ppo_returns")
     return {
         "ppo": common.table(["task", "mean ± std", "seeds 1 to 5", "sampled actions", "published"],
                             rows),
         "score": f"Deterministic {score(suite, 'return_mean')}, sampled "
-                 f"{score(suite, 'train_return')}." if len(suite) else "",
-        "usual": common.table(
-            ["script", "mean ± std", "every seed", "minutes"],
-            [[f"`{script}.py`", *spread(x["return_mean"]), number(x["seconds"].mean() / 60)]
-             for script, x in usual.items() if len(x) > 1]),
+                 f"{score(suite, 'train_return')}.",
+        "usual": common.table(["script", "mean ± std", "every seed", "minutes"], usual),
     }
 
 
