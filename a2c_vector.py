@@ -467,7 +467,7 @@ def report(folder, env_id):
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
-                     ax=panels[name.removesuffix("_mean")])
+                     ax=panels[name.removesuffix("_mean")]).locator_params(axis="x", nbins=4)
     figure.savefig(folder / "learning_curve.png")
 
 

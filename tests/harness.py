@@ -53,9 +53,8 @@ def run_folder(cwd):
 
 def results(process):
     """The table that a run prints: a row for each seed, by its name."""
-    _, columns, _, *rows = process.out.splitlines()
-    rows = {name: numbers for name, *numbers in map(str.split, rows)}
-    return pd.DataFrame.from_dict(rows, "index", float, columns.split())
+    _, columns, _, *rows = map(str.split, process.out.splitlines())
+    return pd.DataFrame.from_dict({name: x for name, *x in rows}, "index", float, columns)
 
 
 def table(path):
