@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -106,6 +107,7 @@ def test_a_call_that_ends_early_keeps_its_rows_and_the_next_goes_on(study, tmp_p
 
     def interrupted(job):
         if job.seed == 2:
+            time.sleep(0.5)  # until the rows of the first have been written
             raise KeyboardInterrupt
         return measure(job)
 
