@@ -22,7 +22,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate the advantage A of every action (GAE). R = A + V(s) ≈ Q(s,a) is the critic's target.
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s) ≈ Q(s,a): its mean is V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -260,7 +260,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         metrics = optimise(agent, optimizer, batch, args)
-        # Step 6: update the statistics last, as steps 2 to 5 must normalise in the same way.
+        # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]

@@ -22,7 +22,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate the advantage A of every action (GAE). R = A + V(s) ≈ Q(s,a) is the critic's target.
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s) ≈ Q(s,a): its mean is V(s).
   5. For several epochs, for each shuffled minibatch: go to 6 if KL(π_old ‖ π), where π_old is the
      policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
@@ -228,7 +228,7 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    The surrogate objective mean(ρ·A) has this gradient at π = π_old, except that A is estimated and
+    Up to a factor, mean(ρ·A) (the surrogate) has this gradient at π = π_old, but A is estimated and
     γ^t left out, to give late steps the same weight as early ones. Further away it is less and less
     exact, because states and advantages remain those of π_old; so the clip takes away the incentive
     to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where
@@ -270,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """What to look at if training fails: π after the update, and V before it (R − V = A)."""
+    """What to look at if training fails: π after the update, V before it (R − V = A, as it is)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -314,7 +314,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 3: scale the rewards.
         batch.rewards, past_return = scale_rewards(
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
-        # Step 4: estimate advantages and targets; with log π_old, the constants of the losses.
+        # Step 4: estimate advantages and targets; like log π_old, they are constants in the losses.
         with torch.no_grad():
             batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)
             values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -325,7 +325,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         optimise(agent, optimizer, batch, args)
         metrics = diagnose(agent, batch, args)
-        # Step 6: update the statistics last, as steps 2 to 5 must normalise in the same way.
+        # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]
