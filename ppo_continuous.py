@@ -257,7 +257,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # The mean is one more baseline; the division gives A the same scale in all tasks.
+            # Subtracting the mean takes away noise; the division gives one scale to all tasks.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -447,15 +447,16 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    first_step, seconds = 0, 0.0
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
         agent.load_state_dict(checkpoint["agent"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
-        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()  # the loop below begins by making it again
-    first_step, seconds = last["env_step"], last["seconds"]
+        last = tables["evals"].pop()  # the loop below begins by making it again
+        first_step, seconds = last["env_step"], last["seconds"]
+        torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
@@ -508,8 +509,8 @@ def report(folder, env_id):
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
         ["policy_std", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
-    threshold = gym.make(env_id).spec.reward_threshold
-    panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
+    if threshold := gym.make(env_id).spec.reward_threshold:
+        panels["return"].axhline(threshold, color="grey", label=f"threshold: {threshold:g}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),

@@ -377,8 +377,8 @@ def report(folder, env_id):
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "policy_std"]], height_ratios=(3, 1))
-    threshold = gym.make(env_id).spec.reward_threshold
-    panels["return"].axhline(threshold or np.nan, color="grey", label=f"threshold: {threshold}")
+    if threshold := gym.make(env_id).spec.reward_threshold:
+        panels["return"].axhline(threshold, color="grey", label=f"threshold: {threshold:g}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
     for name in data.columns.intersection([*panels, *labels]):
         sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),

@@ -1,11 +1,10 @@
-"""The README stays true: commands, snippets, flags, links and names."""
+"""README and docs stay true: commands, snippets, flags, links and names."""
 
 import argparse
 import ast
 import importlib
 import inspect
 import io
-import os
 import re
 import subprocess
 import sys
@@ -18,7 +17,8 @@ from benchmark import common
 from benchmark.__main__ import make_parser
 from conftest import SCRIPTS
 
-TEXT = (harness.ROOT / "README.md").read_text(encoding="utf-8")
+DOCUMENTS = [harness.ROOT / "README.md", *sorted((harness.ROOT / "docs").glob("*.md"))]
+TEXT = "\n".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 LINES = [line.split("#")[0].strip() for kind, block in BLOCKS if not kind
          for line in block.splitlines()]
@@ -69,7 +69,7 @@ def test_there_are_calls_to_test():
 
 @pytest.mark.parametrize("call", STUDIES)
 def test_every_call_of_the_benchmark_has_the_arguments_that_it_takes(call):
-    assert make_parser().parse_args(call.replace("…", "returns").split())
+    assert make_parser().parse_args(re.sub("…|STUDY", "returns", call).split())
 
 
 def test_the_environment_of_your_own_is_checked_and_played(here):
@@ -114,13 +114,32 @@ def test_every_flag_in_the_text_exists():
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known
 
 
-def test_links_inside_the_repository_resolve_and_no_asset_is_left_over():
-    links = {x for x in re.findall(r"\]\(([^)#\s]+)", TEXT) if "://" not in x}
-    assert links
-    for link in links:
-        assert (harness.ROOT / link).exists(), link
-    assets = {f"assets/{x}" for x in os.listdir(harness.ROOT / "assets")}
-    assert assets == {x for x in links if x.startswith("assets/")}
+def anchors(path):
+    """Of its headings, as the sites that show Markdown make them."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", x.lower()).replace(" ", "-") for x in headings}
+
+
+def test_links_inside_the_repository_resolve_and_no_picture_is_left_over():
+    shown = set()
+    for document in DOCUMENTS:
+        links = re.findall(r"\]\(([^)\s]+)", document.read_text(encoding="utf-8"))
+        for link in [x for x in links if "://" not in x]:
+            file, _, anchor = link.partition("#")
+            path = (document.parent / file).resolve() if file else document
+            assert path.exists(), link
+            assert not anchor or anchor in anchors(path), link
+            shown.add(path)
+    pictures = {x for kind in ("png", "gif") for x in (harness.ROOT / "docs").glob(f"*.{kind}")}
+    assert pictures <= shown
+
+
+def test_readme_is_short():
+    """Two screens: 220 lines, and 1,500 words outside of code and tables."""
+    text = DOCUMENTS[0].read_text(encoding="utf-8")
+    assert text.count("\n") <= 220
+    prose = re.sub(r"^```.*?^```|^\|.*?$|^<!--.*?$", "", text, flags=re.DOTALL | re.MULTILINE)
+    assert len(prose.split()) <= 1500
 
 
 def test_every_function_and_test_that_is_named_exists():
@@ -156,11 +175,10 @@ def test_tasks_and_symbols_are_those_of_the_defaults():
             assert cell.strip() == str(common.defaults(script).get(flag, "–")), flag
 
 
-def test_the_table_at_the_top_counts_lines_right():
+def test_the_lines_of_code_are_counted_right():
     for name, script in SCRIPTS.items():
-        (row,) = re.findall(rf"^\| `{name}\.py` \|.*seeds.*\|$", TEXT, re.MULTILINE)
-        above, total = code_lines(script.module)
-        assert f"| {total} ({above}) |" in row, (name, total, above)
+        algorithm, total = code_lines(script.module)
+        assert f"| `{name}.py` | {total} | {algorithm} |" in TEXT
 
 
 def code_lines(module):

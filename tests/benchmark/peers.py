@@ -1,6 +1,6 @@
 """stable-baselines3, with its defaults and with the settings of its zoo.
 
-CleanRL's ppo_continuous_action is no peer here: it cannot be installed beside this Gymnasium.
+CleanRL's ppo_continuous_action is no peer here: it cannot be installed with these versions.
 """
 
 import torch

@@ -23,12 +23,20 @@ PUBLISHED = {
     "Ant-v5": (3258, "[3]"),
     "Humanoid-v5": (787, "[3]"),
 }
-DEFAULT, MILLION = "default", "a million steps"  # the two parts of this study
+DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"  # the parts of this study
+SOLVED = 200  # LunarLander's threshold
+IDEAS = {
+    REINFORCE: "make actions more likely in proportion to the return that followed them",
+    A2C: "REINFORCE with a critic, so that it learns before an episode ends, from many "
+         "environments at once",
+    PPO: "A2C with several small, safe steps on the same data",
+}
 
 
 def jobs(quick):
     found = [x for script in (PPO, A2C, REINFORCE)
              for x in common.training_jobs(script, quick, part=DEFAULT)]
+    found += common.training_jobs(A2C, quick, seeds=range(41, 71), part=MORE)
     tasks = list(PUBLISHED)[:1] if quick else PUBLISHED
     for env_id in tasks:
         flags = f"--env-id {env_id}{'' if quick else ' --total-steps 1000000'}"
@@ -74,11 +82,13 @@ def score(runs, column):
 
 def report(data, draw):
     last, rows, usual = common.last_rows(data), [], []
-    for script, curves in data[data["part"] == DEFAULT].groupby("script", sort=False):
-        curve(curves, draw, script)
+    for script, idea in IDEAS.items():
+        curve(data[data["part"].eq(DEFAULT) & data["script"].eq(script)], draw, script)
         x = last[last["part"].eq(DEFAULT) & last["script"].eq(script)]
-        minutes = number(x["seconds"].mean() / 60)
-        usual.append([f"`{script}.py`", *spread(x["return_mean"]), minutes])
+        mean, every = spread(x["return_mean"], 0)
+        usual.append([f"`{script}.py`", idea, x["env_id"].iloc[0], mean, every,
+                      f"{common.defaults(script)['total_steps']:,}",
+                      number(x["seconds"].mean() / 60)])
     suite = last[last["part"] == MILLION]
     for env_id, (published, source) in PUBLISHED.items():
         x = suite[suite["env_id"] == env_id]
@@ -92,8 +102,19 @@ def report(data, draw):
                             rows),
         "score": f"Deterministic {score(suite, 'return_mean')}, sampled "
                  f"{score(suite, 'train_return')}.",
-        "usual": common.table(["script", "mean ± std", "every seed", "minutes"], usual),
+        "a2c": landings(last[last["script"] == A2C]),
+        "usual": common.table(["file", "its idea", "task", "return, mean ± std", "every seed",
+                                "steps", "minutes of training"], usual),
     }
+
+
+def landings(runs):
+    rows = []
+    for _, x in runs.groupby("part", sort=False):
+        landed = f"{(x['return_mean'] >= SOLVED).sum()} of {len(x)}"
+        seeds = f"{x['seed'].min()} to {x['seed'].max()}"
+        rows.append([seeds, *spread(x["return_mean"], 0), landed])
+    return common.table(["seeds", "mean ± std", "every seed", f"at least {SOLVED}"], rows)
 
 
 def curve(data, draw, script):
