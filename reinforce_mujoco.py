@@ -8,9 +8,9 @@
 
     python reinforce_mujoco.py --seed 1 2 3
 
-trains three agents in parallel to balance a pole on a cart. After 100,000 steps, half a minute,
-each earns a return of 1000 in evaluation, where actions are not drawn but the mean of π: 1 for
-every step that the pole stands, for at most 1000 steps.
+trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
+1, for at most 1000 steps. After 100,000 steps, half a minute, each agent earns all 1000 in
+evaluation, where actions are not drawn from the policy π, but are its mean.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
@@ -19,8 +19,8 @@ action, the more likely REINFORCE makes it:
 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the return from every step t on:  G_t = r_t + γ·G_{t+1}, with G = 0 after the end. The
-     discount γ makes it look about 1 / (1 − γ) = 50 steps ahead, so it is less noisy than a sum.
+  3. Compute the discounted return from every step t on:  G_t = r_t + γ·G_{t+1}. The discount γ
+     makes it look about 1 / (1 − γ) = 50 steps ahead, so it is less noisy than the plain sum.
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
@@ -28,11 +28,11 @@ action, the more likely REINFORCE makes it:
   5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
      Discard the batch: the next step needs actions of the new π. Go to 1.
 
-Steps 2 to 5 are REINFORCE [1] with a baseline, and with returns counted from each step on [2].
-Implementation details are annealing, Adam, a mean over the steps of a batch, a floor under σ,
-orthogonal initialisation with a small last layer of π, actions that are clipped after log π is
-computed, γ^t left out of the gradient, and the critic's estimate of what a time limit cuts off [3];
-so every baseline trains a critic.
+This is REINFORCE [1] with a baseline, and with returns counted from each step on [2]. The rest are
+implementation details: annealing, Adam, a mean over the steps of a batch, a floor under σ,
+orthogonal initialisation with a small last layer of π, and γ^t, which is left out of the gradient.
+The environment clips an action to its bounds, but log π is that of the action before. If a time
+limit ends an episode, V stands for what it has cut off [3]; so every baseline trains a critic.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -81,7 +81,7 @@ class Agent(nn.Module):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
         # The floor under σ keeps π exploring and the gradients moderate: that of log π with respect
-        # to μ is (a − μ)/σ², the standard deviation of which is 1/σ, so 10 at most.
+        # to μ is (a − μ)/σ², which has a standard deviation of 1/σ, so of 10 at most.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -155,11 +155,11 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J, up to a factor.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, but for γ^t and a factor.
 
     J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
-    the actor, and E a mean over the actions of π and the answers of the environment; given s and a,
-    these do not depend on the weights. V(s) is here the true expected return from s on, and Q(s,a)
+    the actor, and E a mean over the actions of π and the answers of the environment; these depend
+    on s and a, not on the weights. V(s) is here the true expected return from s on, and Q(s,a)
     the same if a is taken first. Then (the policy gradient theorem, [2] section 13.2)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
@@ -170,16 +170,16 @@ def policy_loss(log_probs, advantages):
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
-    left out, to give late steps the same weight as early ones.
+    left out, to give late steps the same weight as early ones; strictly, what remains is no longer
+    the gradient of J.
 
-    A baseline b(s) may be subtracted from G: E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0. In the sum over an
-    episode it changes no mean, only the noise. If no return is negative, as in the default task,
-    then without a baseline the gradient is towards every action that was tried, and less so towards
-    bad ones; with one, it is away from those that turned out worse than expected.
+    A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0: it leaves
+    the mean of the estimate as it is. A good one takes away much of the noise. If all returns are
+    positive, then without a baseline the gradient is towards every action that was tried, only less
+    so towards bad ones; with V, it is away from those that turned out worse than expected.
 
-    Two small biases remain, which shrink with the number of episodes in a batch: `mean` contains
-    returns that the action has influenced, and so does the number of steps B that the sum over the
-    batch is divided by.
+    Two small biases shrink with the number of episodes in a batch, because both the baseline `mean`
+    and the number of steps B, which the sum over the batch is divided by, depend on the action.
     """
     return -(advantages * log_probs).mean()
 
