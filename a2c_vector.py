@@ -19,7 +19,7 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates: they fall linearly to 0.
+  1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
   4. Estimate advantages A (GAE). The critic's target is R = A + V(s) ≈ Q(s,a): its mean is V(s).
@@ -33,7 +33,7 @@ replaces the rewards that are still to come, so the agent learns before an episo
 alike; in A3C [1] they do not wait for each other, A2C is its synchronous form. The rest are
 implementation details: observation normalisation and clipping, reward scaling, standardised
 advantages, an entropy bonus (against settling on one action too early), gradient clipping,
-orthogonal initialisation with a small last layer of π, Adam's eps.
+orthogonal initialisation with a small last layer of π.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef.
@@ -204,7 +204,7 @@ def policy_loss(log_probs, advantages):
     return -(advantages * log_probs).mean()
 
 
-def optimise(agent, optimizer, batch, args):
+def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
     # Subtracting the mean takes away noise; the division gives one scale to all tasks.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
@@ -214,9 +214,9 @@ def optimise(agent, optimizer, batch, args):
     loss_v = (errors**2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
-    (loss_pi + loss_v - args.entropy_coef * entropy).backward()
+    (loss_pi + loss_v - entropy_coef * entropy).backward()
     for network in agent.actor, agent.critic:  # they share no weights, so each is clipped by itself
-        nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm, error_if_nonfinite=True)
+        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
                # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
@@ -225,13 +225,9 @@ def optimise(agent, optimizer, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic.
-
-    Adam divides a gradient's running mean by its root mean square + eps. An eps of 1e-5, not the
-    usual 1e-8, shortens steps along gradients of about 1e-5 or less.
-    """
+    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
+    return torch.optim.Adam(groups, fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -244,7 +240,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rates.
+        # Step 1: anneal the learning rates and the entropy bonus.
         remaining = 1 - env_step / args.total_steps
         actor["lr"] = remaining * args.learning_rate
         critic["lr"] = remaining * args.critic_learning_rate
@@ -259,7 +255,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
-        metrics = optimise(agent, optimizer, batch, args)
+        metrics = optimise(
+            agent, optimizer, batch, remaining * args.entropy_coef, args.max_grad_norm)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
@@ -314,7 +311,7 @@ def parse_args(argv=None):
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
-    add("--entropy-coef", type=number(float, 0), default=0.003, help="weight of the entropy bonus")
+    add("--entropy-coef", type=number(float, 0), default=0.01, help="entropy bonus, at first")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     return check(parser, argv)

@@ -323,7 +323,7 @@ def run(index, args, folder):
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters())
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # `train` sets its learning rate
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)

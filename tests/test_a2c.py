@@ -130,6 +130,7 @@ def test_an_update_follows_the_gradient_written_out(
         f"--rollout-steps {rollout_steps} --total-steps {4 * 120} --max-grad-norm 1e9 "
         "--gamma 0.9 --gae-lambda 0.7 --entropy-coef 0.3 --reward-scale 0.5", f"{world}-v0")
     *_, (env_step, _, (metrics,)) = train(args, envs, agent)
+    args.entropy_coef *= 1 - (env_step - 4 * rollout_steps) / args.total_steps  # of the last one
     assert metrics.pop("env_step") == env_step
     assert len(rollouts) == np.ceil(120 / rollout_steps)
     gradients, expected = by_hand(args, *rollouts[-1], length, terminates)
@@ -183,29 +184,25 @@ def test_the_deterministic_action_is_the_likeliest():
 
 
 @pytest.mark.parametrize("first_step", [0, 200])
-def test_both_learning_rates_fall_in_a_straight_line(first_step):
+def test_learning_rates_and_entropy_bonus_fall_in_a_straight_line(first_step, monkeypatch):
     """From the start, and when a training is resumed after 200 steps."""
-    args, envs, agent = make("--learning-rate 2e-3 --critic-learning-rate 4e-3 --total-steps 390")
+    args, envs, agent = make(
+        "--learning-rate 2e-3 --critic-learning-rate 4e-3 --entropy-coef 0.5 --total-steps 390")
+    seen, optimise = [], a2c.optimise
+
+    def spy(agent, optimizer, batch, entropy_coef, *rest):
+        seen.append((*(group["lr"] for group in optimizer.param_groups), entropy_coef))
+        return optimise(agent, optimizer, batch, entropy_coef, *rest)
+
+    monkeypatch.setattr(a2c, "optimise", spy)
     optimizer = a2c.make_optimizer(agent)
     for group, network in zip(optimizer.param_groups, (agent.actor, agent.critic)):
-        assert {id(p) for p in group["params"]} == {id(p) for p in network.parameters()}
-    updates = a2c.train(args, 1, envs, agent, optimizer, first_step)
-    assert next(updates) == (first_step, [], [])
-    env_steps, rates = zip(*(
-        (env_step, [group["lr"] for group in optimizer.param_groups]) for env_step, *_ in updates))
+        assert set(group["params"]) == set(network.parameters())
+    start, *updates = a2c.train(args, 1, envs, agent, optimizer, first_step)
+    assert start == (first_step, [], [])
     begins = np.arange(first_step, 400, 100)
-    np.testing.assert_array_equal(env_steps, begins + 100)
-    np.testing.assert_allclose(rates, np.outer(1 - begins / 390, [2e-3, 4e-3]))
-
-
-@pytest.mark.parametrize(
-    ("option", "learns"), [("--learning-rate", "critic"), ("--critic-learning-rate", "actor")])
-def test_with_one_learning_rate_0_only_the_other_network_learns(option, learns):
-    args, envs, agent = make(f"{option} 0")
-    before = {name: p.clone() for name, p in agent.named_parameters()}
-    train(args, envs, agent)
-    changed = {name for name, p in agent.named_parameters() if not torch.equal(p, before[name])}
-    assert {name.split(".")[0] for name in changed} == {learns}
+    np.testing.assert_array_equal([env_step for env_step, *_ in updates], begins + 100)
+    np.testing.assert_allclose(seen, np.outer(1 - begins / 390, [2e-3, 4e-3, 0.5]))
 
 
 def test_rewards_are_scaled_once_and_logged_returns_stay_raw():

@@ -145,10 +145,12 @@ def begin(script, args, seed):
         extra = args.vectorization, [module.RandomPhysics] if args.randomize else []
     envs = module.make_envs(args.env_id, getattr(args, "num_envs", 1), "Disabled", *extra)
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
-    if script == REINFORCE:
-        optimizer = torch.optim.Adam(agent.parameters())
-        return envs, agent, module.train(args, seed, envs, agent, optimizer)
-    return envs, agent, module.train(args, seed, envs, agent, module.make_optimizer(agent), 0)
+    if script == A2C:
+        optimizer = module.make_optimizer(agent)
+    else:
+        optimizer = torch.optim.Adam(agent.parameters(), fused=True)
+    first_step = () if script == REINFORCE else (0,)
+    return envs, agent, module.train(args, seed, envs, agent, optimizer, *first_step)
 
 
 # --- Rows -----------------------------------------------------------------------------------------
