@@ -13,7 +13,7 @@ seeds of ten earn a return of 247 to 269 in evaluation, where 200 counts as solv
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+episode ends. The goal is a large expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
@@ -22,15 +22,15 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s) ≈ Q(s,a): its mean is V(s).
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
 The idea of A2C, and what is new since reinforce_mujoco.py, is bootstrapping: the critic's estimate
 replaces the rewards that are still to come, so the agent learns before an episode ends. λ in GAE
-[2] sets how far the critic is trusted. Many environments at once make the data of a rollout less
-alike; in A3C [1] they do not wait for each other, A2C is its synchronous form. The rest are
+[2] sets how far the critic is trusted. Many environments at once make a rollout more varied. In A3C
+[1] they do not wait for each other; A2C is its synchronous form. The rest are
 implementation details: observation normalisation and clipping, reward scaling, standardised
 advantages, an entropy bonus (against settling on one action too early), gradient clipping,
 orthogonal initialisation with a small last layer of π.
@@ -166,16 +166,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends at a boundary, because A_{t+1} is of another episode or not known:
+    The sum ends where A_{t+1} belongs to another episode or is not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value, the mean of δ_t is A(s_t,a_t) and that of all later δ is 0. As V is an
-    estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
+    If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
+    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
     stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
-    between cancel, and A_t is the discounted sum of all rewards, up to the boundary and with V
-    there, minus V(s_t): less bias, but the luck of every later step (variance).
+    between cancel: A_t is the discounted sum of the rewards up to where it ends, plus the
+    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -187,19 +187,19 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T, N). Its gradient approximates −∇J, up to a factor.
+    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J, but for γ^t and a factor.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
-    the weights of the actor, and E a mean over the actions of π and the states that follow. Then
+    the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
     As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
-    Subtracting V(s) from Q(s,a) does not change the mean of the gradient, but takes away much of
-    its noise. The actions must be drawn from the current π, so a rollout serves for one step only.
+    Subtracting V(s) from Q(s,a) does not change the mean of the estimate, but usually takes away much
+    of its noise. The actions must be drawn from the current π, so a rollout serves for one step.
     """
     return -(advantages * log_probs).mean()
 
@@ -215,11 +215,11 @@ def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
-    for network in agent.actor, agent.critic:  # they share no weights, so each is clipped by itself
+    for network in agent.actor, agent.critic:  # so that a large gradient of one slows only that one
         nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
+               # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
                "explained_variance": 1 - errors.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
@@ -320,13 +320,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def number(text):
+    def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return number
+    return option
 
 
 # ==================================================================================================
@@ -335,7 +335,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
+    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
 
     NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
@@ -443,8 +443,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
-    lowest seed to the highest.
+    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
+    band reaches from the lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -470,7 +470,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options given here override those of a checkpoint (but its device), those the defaults."""
+    """The command line overrides a checkpoint (but for its device), which overrides defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

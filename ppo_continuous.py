@@ -13,7 +13,7 @@ a minute, each earns a return of about 9,325 in evaluation; 9,360 is the most th
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The agent is to earn a large return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+episode ends. The goal is a large expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
@@ -22,7 +22,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s) ≈ Q(s,a): its mean is V(s).
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
   5. For several epochs, for each shuffled minibatch: go to 6 if KL(π_old ‖ π), where π_old is the
      policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
@@ -172,9 +172,9 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    A critic learns best if its targets vary by about 1, whatever the unit of the rewards. We want
-    to divide by the spread of the returns, but a return lies in the future. F discounts past
-    rewards in the same way, so it has a similar spread, and it is known at every step:
+    One learning rate serves all tasks only if the critic's targets vary alike, whatever the unit of
+    the rewards. We want to divide by the spread of the returns, but a return lies in the future. F
+    discounts past rewards instead, so its spread is similar, and it is known at every step:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -195,16 +195,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends at a boundary, because A_{t+1} is of another episode or not known:
+    The sum ends where A_{t+1} belongs to another episode or is not known:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value, the mean of δ_t is A(s_t,a_t) and that of all later δ is 0. As V is an
-    estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
+    If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
+    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
     stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
-    between cancel, and A_t is the discounted sum of all rewards, up to the boundary and with V
-    there, minus V(s_t): less bias, but the luck of every later step (variance).
+    between cancel: A_t is the discounted sum of the rewards up to where it ends, plus the
+    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -219,16 +219,16 @@ def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
-    the weights of the actor, and E a mean over the actions of π and the states that follow. Then
+    the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫ ∇π da = ∇1 = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') put in again and again
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    Up to a factor, mean(ρ·A) (the surrogate) has this gradient at π = π_old, but A is estimated and
-    γ^t left out, to give late steps the same weight as early ones. Further away it is less and less
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a factor; only γ^t
+    is left out, to give late steps the same weight as early ones. Further away it is less and less
     exact, because states and advantages remain those of π_old; so the clip takes away the incentive
     to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where
     ρ has moved the wrong way, min selects the unclipped term, which leads back. Other samples may
@@ -242,7 +242,7 @@ def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
     Adding ρ − 1 does not change the mean, as E_old[ρ] = ∫ π_old·(π/π_old) da = 1, but leaves no
-    term negative and takes away most of the noise of the estimate.
+    term negative and, where ρ is near 1, takes away most of the noise of the estimate.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but exact near 0
 
@@ -267,13 +267,13 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """What to look at if training fails: π after the update, V before it (R − V = A, as it is)."""
+    """What to look at if training fails: of π after the update, of V before it (so R − V = A)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # 1 is perfect but for a constant, 0 no better than a constant, below 0 worse.
+               # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "policy_std": policy.stddev.mean(), "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -351,13 +351,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def number(text):
+    def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return number
+    return option
 
 
 # ==================================================================================================
@@ -366,7 +366,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
+    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
 
     NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
@@ -473,8 +473,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
-    lowest seed to the highest.
+    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
+    band reaches from the lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -500,7 +500,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options given here override those of a checkpoint (but its device), those the defaults."""
+    """The command line overrides a checkpoint (but for its device), which overrides defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

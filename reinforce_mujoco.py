@@ -166,7 +166,7 @@ def policy_loss(log_probs, advantages):
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]          ∇π = π·∇log π;  Q = E[r + γ·V(s')]
         ∇J = E[∇V(s_0)]
-           = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        ∇V(s') put in again and again
+           = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        ∇V(s') unrolled over time
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
@@ -248,13 +248,13 @@ def parse_args(argv=None):
 def number(kind, low, high=1e12):
     """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
 
-    def number(text):
+    def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return number
+    return option
 
 
 # ==================================================================================================
@@ -263,7 +263,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together, with a time limit, if only of 10,000 steps.
+    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
 
     NaN, infinity, and numbers too large for float32 raise a ValueError.
     """
@@ -361,8 +361,8 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed, and draw learning_curve.png.
 
-    A point is the mean over the seeds and over a fiftieth of the run; the band reaches from the
-    lowest seed to the highest.
+    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
+    band reaches from the lowest seed to the highest.
     """
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
@@ -387,7 +387,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Options given here override those of a checkpoint, those the defaults."""
+    """The command line overrides a checkpoint, which overrides defaults."""
     args = parser.parse_args(argv)
     path = args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)
