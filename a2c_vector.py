@@ -198,8 +198,9 @@ def policy_loss(log_probs, advantages):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
     As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
-    Subtracting V(s) from Q(s,a) does not change the mean of the estimate, but usually takes away much
-    of its noise. The actions must be drawn from the current π, so a rollout serves for one step.
+    Subtracting V(s) from Q(s,a) leaves the mean of the estimate as it is, and usually takes away
+    much of its noise. The actions must be drawn from the current π, so a rollout serves for one
+    step only.
     """
     return -(advantages * log_probs).mean()
 
