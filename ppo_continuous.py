@@ -19,7 +19,7 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rate: it falls linearly to 0.
+  1. Anneal the learning rates: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
@@ -31,7 +31,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 
 Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, and
 they matter [4]: annealing, reward scaling, observation normalisation and clipping, standardised
-advantages, the KL limit, orthogonal initialisation with a small last layer of π, tanh squashing.
+advantages, the KL limit, orthogonal initialisation with a small last layer of π, tanh squashing, a
+slower learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -77,7 +78,10 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))  # the same for all s
+        # σ is the same for all s. If an action has more than four dimensions, it starts smaller, so
+        # that the noise of all K together, σ·√K, starts no larger.
+        std = args.std * min(1, 2 / outputs**0.5)
+        self.log_std = nn.Parameter(torch.full((outputs,), std).log())
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -280,18 +284,27 @@ def diagnose(agent, batch, args):
     return {name: x.item() for name, x in metrics.items()}
 
 
+def make_optimizer(agent):
+    """Adam with two groups of weights, whose learning rates `train` sets: networks and log σ."""
+    networks = [*agent.actor.parameters(), *agent.critic.parameters()]
+    return torch.optim.Adam([{"params": networks}, {"params": agent.log_std}], fused=True)
+
+
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
     Yields before the first update and after each: the steps so far, and new rows for the tables of
     episodes and of metrics.
     """
+    networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return = 0.0
     yield env_step, [], []
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rate.
-        optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
+        # Step 1: anneal the learning rates.
+        remaining = 1 - env_step / args.total_steps
+        networks["lr"] = remaining * args.learning_rate
+        log_std["lr"] = remaining * args.std_learning_rate
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
         # Step 3: scale the rewards.
@@ -339,12 +352,13 @@ def parse_args(argv=None):
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of actor and critic")
+    add("--std-learning-rate", type=number(float, 0), default=3e-4, help="of log sigma")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--log-std", type=number(float, -10, 2), default=-1.0, help="log sigma before training")
+    add("--std", type=number(float, 1e-3), default=0.6, help="sigma at first; less if K > 4")
     return check(parser, argv)
 
 
@@ -427,7 +441,7 @@ def run(index, args, folder):
     envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # `train` sets its learning rate
+    optimizer = make_optimizer(agent)
     tables = {"evals": [], "episodes": [], "metrics": []}
     first_step, seconds = 0, 0.0
     if args.resume:

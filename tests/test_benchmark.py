@@ -42,13 +42,12 @@ def weights_after_training(folder, variant):
     spec = importlib.util.spec_from_file_location("variant", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.02"
+    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.02 --max-kl 1e9"
     args = module.parse_args(["--env-id", "Timed-v0", *sizes.split()])
     torch.manual_seed(0)
     envs = module.make_envs(args.env_id, args.num_envs, "Disabled")
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
-    optimizer = torch.optim.Adam(agent.parameters())
-    assert len(list(module.train(args, 1, envs, agent, optimizer, 0))) == 1 + 3
+    assert len(list(module.train(args, 1, envs, agent, module.make_optimizer(agent), 0))) == 1 + 3
     return torch.cat([x.flatten() for x in agent.parameters()])
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 from harness import ACTIONS
 from test_gae import gae_by_hand
 from torch.distributions import Normal, TanhTransform, TransformedDistribution, kl_divergence
@@ -46,7 +47,7 @@ def play(options="", world="harness:ThreeSteps", mean=0.0):
 def train(options="", world=UNEVEN):
     """A whole training with a new agent, which is returned with all that was yielded."""
     args, envs, agent = make(options, world, new=True)
-    return agent, list(ppo.train(args, 1, envs, agent, torch.optim.Adam(agent.parameters()), 0))
+    return agent, list(ppo.train(args, 1, envs, agent, ppo.make_optimizer(agent), 0))
 
 
 def spy(monkeypatch, name, keep):
@@ -89,9 +90,9 @@ def update(args, agent, batch, lr=0.0):
 # --- Policy and losses ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("log_std", "mean"), [(-0.5, 0.0), (2.0, 30.0)], ids=["fresh", "far"])
-def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, monkeypatch):
-    args, agent, batch = play(f"--log-std {log_std} --epochs 3", mean=mean)
+@pytest.mark.parametrize(("std", "mean"), [(0.6, 0.0), (7.4, 30.0)], ids=["fresh", "far"])
+def test_the_ratio_stays_1_while_the_policy_does(std, mean, monkeypatch):
+    args, agent, batch = play(f"--std {std} --epochs 3", mean=mean)
     ratios = spy(monkeypatch, "policy_loss", lambda ratio, *_: ratio.detach())
     update(args, agent, batch)
     assert len(ratios) == 3 * 3
@@ -103,10 +104,10 @@ def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, monkeypatch):
 
 def test_the_density_that_acted_is_the_one_that_learns():
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
-    _, agent, batch = play("--log-std 1")
+    _, agent, batch = play("--std 2.7")
     policy = agent.policy(batch.obs)
-    torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), math.e))
-    noise = (batch.actions - policy.mean) / math.e
+    torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), 2.7))
+    noise = (batch.actions - policy.mean) / 2.7
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
     assert len(noise.unique()) == 200
@@ -127,6 +128,13 @@ def test_deterministic_actions_are_those_of_the_mean():
     assert (agent.act(obs) != actions).all()
 
 
+@pytest.mark.parametrize(("dimensions", "std"), [(1, 0.6), (4, 0.6), (9, 0.4), (16, 0.3)])
+def test_the_noise_of_all_dimensions_together_starts_no_larger_than_that_of_four(dimensions, std):
+    args = ppo.parse_args([])
+    agent = ppo.Agent(Box(-1, 1, (2,)), Box(-1, 1, (dimensions,)), args)
+    torch.testing.assert_close(agent.log_std.data.exp(), torch.full((dimensions,), std))
+
+
 def test_a_new_policy_acts_alike_in_all_states():
     _, _, agent = make(new=True)
     actions = agent.act(10 * torch.randn(100, 2), deterministic=True)
@@ -134,7 +142,7 @@ def test_a_new_policy_acts_alike_in_all_states():
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
-    old, new = (make(f"--log-std {x}")[2].double() for x in (-0.5, 0.2))
+    old, new = (make(f"--std {x}")[2].double() for x in (0.6, 1.2))
     new.actor[-1].bias.data += 0.7
     obs, actions = torch.randn(2, 1000, 2, dtype=torch.float64)
     squashed, gaussian = [], []
@@ -255,8 +263,8 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     Advantages and targets are those of the critic before the update, in each epoch; and no
     gradient goes through them. The diagnostics are of the whole rollout, after the update.
     """
-    options = f"--minibatch-size {math.ceil(100 / minibatches)} --epochs 2 --learning-rate 0.05"
-    options += " --gamma 0.9 --gae-lambda 0.7 --clip-eps 0.1"
+    options = f"--minibatch-size {math.ceil(100 / minibatches)} --epochs 2 --clip-eps 0.1"
+    options += " --gamma 0.9 --gae-lambda 0.7 --learning-rate 0.05 --std-learning-rate 0.05"
     args, envs, agent = make(options, world)
     rollout = ppo.rollout
 
@@ -269,7 +277,8 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
 
     monkeypatch.setattr(ppo, "rollout", rollout_in_double)
     start = spy(monkeypatch, "optimise", lambda agent, _, batch, *__: (copy.deepcopy(agent), batch))
-    optimizer = torch.optim.SGD(agent.parameters())
+    networks = [*agent.actor.parameters(), *agent.critic.parameters()]
+    optimizer = torch.optim.SGD([{"params": networks}, {"params": agent.log_std}])
     steps = watch_steps(agent, optimizer)
     _, (_, _, (metrics,)) = ppo.train(args, 1, envs, agent, optimizer, 0)
     ((old, batch),) = start
@@ -348,12 +357,19 @@ def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypa
 
 
 @pytest.mark.parametrize("first_step", [0, 100])
-def test_the_learning_rate_falls_in_a_straight_line(first_step, monkeypatch):
+def test_both_learning_rates_fall_in_a_straight_line(first_step, monkeypatch):
     """3.5 rollouts; a training that is resumed after the first goes on with its rates."""
-    rates = spy(monkeypatch, "optimise", lambda _, optimizer, *__: optimizer.param_groups[0]["lr"])
-    args, envs, agent = make("--learning-rate 7e-3 --total-steps 350")
-    list(ppo.train(args, 1, envs, agent, torch.optim.Adam(agent.parameters()), first_step))
-    np.testing.assert_allclose(rates, [7e-3, 5e-3, 3e-3, 1e-3][first_step // 100:])
+
+    def look(agent, optimizer, *_):
+        rates = {p: group["lr"] for group in optimizer.param_groups for p in group["params"]}
+        assert rates.keys() == set(agent.parameters())
+        return rates.pop(agent.log_std), *set(rates.values())
+
+    rates = spy(monkeypatch, "optimise", look)
+    args, envs, agent = make("--learning-rate 7e-3 --std-learning-rate 3.5e-4 --total-steps 350")
+    list(ppo.train(args, 1, envs, agent, ppo.make_optimizer(agent), first_step))
+    expected = [(3.5e-4, 7e-3), (2.5e-4, 5e-3), (1.5e-4, 3e-3), (0.5e-4, 1e-3)]
+    np.testing.assert_allclose(rates, expected[first_step // 100:])
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits():

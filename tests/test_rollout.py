@@ -199,8 +199,7 @@ def test_seeds_are_all_different_and_always_the_same():
 def test_each_environment_of_a_training_starts_with_a_seed_of_its_own(script, env_step):
     """When it is resumed at step 40, with others than at step 0."""
     args, envs, agent = make(script)
-    networks = agent.actor, agent.critic
-    optimizer = torch.optim.Adam([{"params": x.parameters()} for x in networks])
+    optimizer = script.module.make_optimizer(agent)
     next(script.module.train(args, 5, envs, agent, optimizer, env_step))
     seeds = script.module.make_seeds(5, 2 + env_step, 4)
     expected = [np_random(seed)[0].uniform(-1, 1) for seed in seeds]

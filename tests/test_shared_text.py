@@ -9,7 +9,7 @@ from harness import ROOT
 
 # Where the scripts differ on purpose, because this is the algorithm, or its options.
 DIFFERENT = {
-    "Agent", "check", "main", "make_envs", "mlp", "optimise", "parse_args",
+    "Agent", "check", "main", "make_envs", "make_optimizer", "mlp", "optimise", "parse_args",
     "policy_loss", "report", "rollout", "run", "train"}
 ALIKE_IN_TWO = {"main": {"reinforce_mujoco", "ppo_continuous"},
                 "mlp": {"reinforce_mujoco", "ppo_continuous"},

@@ -145,12 +145,10 @@ def begin(script, args, seed):
         extra = args.vectorization, [module.RandomPhysics] if args.randomize else []
     envs = module.make_envs(args.env_id, getattr(args, "num_envs", 1), "Disabled", *extra)
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
-    if script == A2C:
-        optimizer = module.make_optimizer(agent)
-    else:
+    if script == REINFORCE:
         optimizer = torch.optim.Adam(agent.parameters(), fused=True)
-    first_step = () if script == REINFORCE else (0,)
-    return envs, agent, module.train(args, seed, envs, agent, optimizer, *first_step)
+        return envs, agent, module.train(args, seed, envs, agent, optimizer)
+    return envs, agent, module.train(args, seed, envs, agent, module.make_optimizer(agent), 0)
 
 
 # --- Rows -----------------------------------------------------------------------------------------
@@ -211,13 +209,16 @@ def run(name, quick, folder):
     pool = ThreadPoolExecutor(workers)
     try:
         futures = {pool.submit(study.measure, job): job for job in jobs}
-        for future in tqdm(as_completed(futures), name, len(jobs)):
+        steps = {job: load(job.script).parse_args(job.flags.split()).total_steps for job in jobs}
+        bar = tqdm(desc=name, total=sum(steps.values()), unit=" steps", unit_scale=True)
+        for future in as_completed(futures):
             job, rows = futures[future], pd.DataFrame(future.result())
             rows = rows.assign(**key(job))[[*KEYS, *rows]]
             data = pd.concat([data[~is_row_of(data, job)], rows] if len(data) else [rows])
             data = data.sort_values(KEYS, kind="stable", ignore_index=True)
             machines = sorted({*machines, machine()})
             write_rows(path, data, machines)
+            bar.update(steps[job])
     finally:
         pool.shutdown(cancel_futures=True)
 
