@@ -8,8 +8,8 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
-seeds of ten earn a return of 247 to 269 in evaluation, where 200 counts as solved.
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, an
+agent earns a return of about 250 in evaluation, where 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -33,7 +33,7 @@ replaces the rewards that are still to come, so the agent learns before an episo
 [1] they do not wait for each other; A2C is its synchronous form. The rest are
 implementation details: observation normalisation and clipping, reward scaling, standardised
 advantages, an entropy bonus (against settling on one action too early), gradient clipping,
-orthogonal initialisation with a small last layer of π.
+orthogonal initialisation with a small last layer of π, Adam's eps.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef.
@@ -199,8 +199,7 @@ def policy_loss(log_probs, advantages):
 
     As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
     Subtracting V(s) from Q(s,a) leaves the mean of the estimate as it is, and usually takes away
-    much of its noise. The actions must be drawn from the current π, so a rollout serves for one
-    step only.
+    much of its noise. The actions must be drawn from the current π: a rollout serves for one step.
     """
     return -(advantages * log_probs).mean()
 
@@ -226,9 +225,12 @@ def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
 
 
 def make_optimizer(agent):
-    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic."""
+    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic.
+
+    An eps of 1e-5, not the usual 1e-8, shortens steps along gradients of about 1e-5 or less.
+    """
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, fused=True)  # fused is faster
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):

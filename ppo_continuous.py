@@ -78,10 +78,7 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        # σ is the same for all s. If an action has more than four dimensions, it starts smaller, so
-        # that the noise of all K together, σ·√K, starts no larger.
-        std = args.std * min(1, 2 / outputs**0.5)
-        self.log_std = nn.Parameter(torch.full((outputs,), std).log())
+        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))  # the same for all s
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -287,7 +284,8 @@ def diagnose(agent, batch, args):
 def make_optimizer(agent):
     """Adam with two groups of weights, whose learning rates `train` sets: networks and log σ."""
     networks = [*agent.actor.parameters(), *agent.critic.parameters()]
-    return torch.optim.Adam([{"params": networks}, {"params": agent.log_std}], fused=True)
+    groups = [{"params": networks}, {"params": agent.log_std}]
+    return torch.optim.Adam(groups, fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -358,7 +356,7 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--std", type=number(float, 1e-3), default=0.6, help="sigma at first; less if K > 4")
+    add("--log-std", type=number(float, -10, 2), default=-0.85, help="log sigma before training")
     return check(parser, argv)
 
 

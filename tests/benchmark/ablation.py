@@ -20,7 +20,7 @@ CHANGES = {  # its name: flags, or the patch of a variant
     "last layer not small": "last-layer-not-small.patch",
     "weights not orthogonal": "weights-not-orthogonal.patch",
     "σ learns as fast as μ": "--std-learning-rate 1e-3",
-    "σ starts twice as large": "--std 1.2",
+    "σ = 1 at first": "--log-std 0",
     "actions clipped, no tanh": "no-tanh.patch",
     "time limits treated as deaths": "time-limits-as-deaths.patch",
     "value loss clipped, too": "value-loss-clipped.patch",
