@@ -27,7 +27,7 @@ COMMANDS = [" ".join(x.split()) for x in (*LINES, *INLINE)]
 # Without paths that only a user's machine has, or that stand for many.
 SCRIPT_CALLS = sorted({
     match for x in COMMANDS for match in re.findall(r"python ((?:[a-z0-9_]+)\.py(?: .*)?)$", x)
-    if not re.search(r"my_module\.py|--watch|--resume|SEED|SLURM", match)})
+    if not re.search(r"my_\w+\.py|--watch|--resume|SEED|SLURM", match)})
 STUDIES = sorted({
     match for x in COMMANDS for match in re.findall(r"python tests/benchmark (.*)$", x)})
 SNIPPETS = [block for kind, block in BLOCKS if kind == "python"]
