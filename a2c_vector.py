@@ -8,8 +8,8 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, an
-agent earns a return of about 250 in evaluation, where 200 counts as solved.
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
+agents of ten earn a return of 215 to 274 in evaluation, where 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
