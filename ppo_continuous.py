@@ -356,7 +356,7 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--log-std", type=number(float, -10, 2), default=-0.85, help="log sigma before training")
+    add("--log-std", type=number(float, -10, 2), default=-0.5, help="log sigma before training")
     return check(parser, argv)
 
 

@@ -166,7 +166,9 @@ def test_a_report_brings_all_up_to_date_and_says_what_is_not(trial, tmp_path, mo
     for name, value in {"ROOT": tmp_path, "DOCS": docs, "DATA": docs / "data"}.items():
         monkeypatch.setattr(common, name, value)
     monkeypatch.setattr(common, "outdated", lambda _: 0)
-    (tmp_path / "README.md").write_text("Before.\n<!-- report: returns.usual - -->\n<!-- end -->\n")
+    names = "returns.usual", "ablation.ablation", "scaling.scaling"
+    marks = "".join(f"<!-- report: {name} - -->\n<!-- end -->\n" for name in names)
+    (tmp_path / "README.md").write_text(f"Before.\n{marks}")
     main(["report"])
     main(["report", "--check"])
     text = (tmp_path / "README.md").read_text()

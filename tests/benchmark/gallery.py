@@ -30,7 +30,7 @@ def film(job):
     trial = "--total-steps" in job.flags
     left, result = clip(job)
     if job.script == PPO and not trial:
-        right, _ = clip(Job(PPO, job.seed, ROBOT))
+        right, _ = clip(Job(PPO, job.seed, ROBOT), camera_name="track")
     else:
         left, right = clip(job, trained=False)[0], left
     home = common.ROOT / ("runs/quick" if trial else "docs")
@@ -47,11 +47,12 @@ def film(job):
     return pd.DataFrame([{**result, "frames": count}])
 
 
-def clip(job, trained=True):
+def clip(job, trained=True, **camera_options):
     """The pictures of an episode of the agent that `job` trains, or of an untrained one."""
     module, checkpoint = common.load(job.script), common.run_folder(job) / "checkpoint.pt"
     args = module.parse_args(["--watch", str(checkpoint)])
-    camera = module.make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
+    camera = module.make_envs(
+        args.env_id, 1, "NextStep", render_mode="rgb_array_list", **camera_options)
     torch.manual_seed(job.seed)
     agent = module.Agent(camera.single_observation_space, camera.single_action_space, args)
     if trained:

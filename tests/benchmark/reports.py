@@ -43,14 +43,14 @@ def drawn_from(picture):
 
 def stale(names):
     """What is not up to date."""
-    found = []
+    found, text = [], "".join(x.read_text("utf-8") for x in documents())
     for name, study, _, source in studies(names):
         for document in documents():
-            for owner, table, mark, text in MARKED.findall(document.read_text("utf-8")):
-                if owner == name and mark != f"{source}-{fingerprint(text)}":
+            for owner, table, mark, inside in MARKED.findall(document.read_text("utf-8")):
+                if owner == name and mark != f"{source}-{fingerprint(inside)}":
                     found.append(f"{document.name}: table {name}.{table}")
-        found += [f"docs/{picture}.png" for picture in study.FIGURES
-                  if drawn_from(common.DOCS / f"{picture}.png") != source]
+        found += [f"docs/{picture}.png" for picture in study.FIGURES if f"{picture}.png" in text
+                  and drawn_from(common.DOCS / f"{picture}.png") != source]
     return found
 
 
@@ -65,6 +65,9 @@ def report(names):
             tables = study.report(data, lambda figure, picture, source=source: figure.savefig(
                 common.DOCS / f"{picture}.png", metadata={"Source": source}))
             tables["machine"] = "; ".join(machines)
+            for picture in study.FIGURES:
+                link = f"![{picture.replace('_', ' ')}]({picture}.png)"
+                tables[picture] = link if (common.DOCS / f"{picture}.png").exists() else ""
             for document in documents():
                 write_tables(document, name, tables, source)
 
