@@ -109,7 +109,7 @@ def report(data, draw):
         draw(panels(data[shown]), "ppo_returns")
     return {
         "ppo": common.table(["task", "mean ± std", "seeds 1 to 5", "sampled actions", "published"],
-                            rows),
+                            rows) if rows else "Not measured yet with the current files.",
         "score": score(suite),
         "a2c": landings(last[last["script"] == A2C]),
         "usual": common.table(["file", "its idea", "task", "return, mean ± std", "every seed",
