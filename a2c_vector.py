@@ -9,7 +9,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
-agents of ten earn a return of 215 to 274 in evaluation, where 200 counts as solved.
+agents of ten earn a return of 215 to 274 in evaluation, the tenth 179; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -206,7 +206,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Subtracting the mean takes away noise; the division gives one scale to all tasks.
+    # Subtracting the mean usually reduces noise; the division gives A a scale of 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)
@@ -251,7 +251,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
         # Step 3: scale the rewards.
         batch.rewards *= args.reward_scale
-        # Step 4: estimate advantages and targets, the constants of the losses.
+        # Step 4: estimate advantages and targets, which are constants in the losses.
         with torch.no_grad():
             values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,

@@ -173,9 +173,9 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    One learning rate serves all tasks only if the critic's targets vary alike, whatever the unit of
+    One learning rate can serve all tasks if the critic's targets vary alike, whatever the unit of
     the rewards. We want to divide by the spread of the returns, but a return lies in the future. F
-    discounts past rewards instead, so its spread is similar, and it is known at every step:
+    discounts past rewards instead, so its spread should be similar, and it is known at every step:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -257,7 +257,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # Subtracting the mean takes away noise; the division gives one scale to all tasks.
+            # Subtracting the mean usually reduces noise; the division gives A a scale of 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2

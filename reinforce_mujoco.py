@@ -81,7 +81,7 @@ class Agent(nn.Module):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
         # The floor under σ keeps π exploring and the gradients moderate: that of log π with respect
-        # to μ is (a − μ)/σ², which has a standard deviation of 1/σ, so of 10 at most.
+        # to μ is (a − μ)/σ², which has the standard deviation 1/σ, at most 10.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
