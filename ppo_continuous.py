@@ -19,7 +19,8 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates: they fall linearly to 0.
+  1. Anneal the learning rates: they fall linearly to 0. That of the networks is lower for a while
+     if step 5 was cut short.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
@@ -78,7 +79,8 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.log_std = nn.Parameter(torch.full((outputs,), args.log_std))  # the same for all s
+        std = args.std * min(1, 2 / outputs**0.5)  # beyond K = 4 the noise grows no further
+        self.log_std = nn.Parameter(torch.full((outputs,), std).log())  # the same for all s
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
@@ -249,13 +251,16 @@ def approximate_kl(log_ratio):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Step 5: epochs of shuffled minibatches, each a step of Adam; all of `batch` is (T·N, …)."""
+    """Step 5: epochs of shuffled minibatches, each a step of Adam; all of `batch` is (T·N, …).
+
+    Returns whether it got through them all before π was too far from π_old.
+    """
     for _ in range(args.epochs):
         for rows in torch.randperm(len(batch.obs)).split(args.minibatch_size):
             policy = agent.policy(batch.obs[rows])
             log_ratio = policy.log_prob(batch.actions[rows]) - batch.log_probs[rows]
             if approximate_kl(log_ratio) > args.max_kl:
-                return  # far enough; the steps so far stay
+                return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
             # Subtracting the mean usually reduces noise; the division gives A a scale of 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
@@ -264,6 +269,7 @@ def optimise(agent, optimizer, batch, args):
             optimizer.zero_grad()
             (loss_pi + loss_v).backward()
             optimizer.step()
+    return True
 
 
 @torch.no_grad()
@@ -296,12 +302,12 @@ def train(args, seed, envs, agent, optimizer, env_step):
     """
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
-    past_return = 0.0
+    past_return, pace = 0.0, 1.0
     yield env_step, [], []
     while env_step < args.total_steps:
         # Step 1: anneal the learning rates.
         remaining = 1 - env_step / args.total_steps
-        networks["lr"] = remaining * args.learning_rate
+        networks["lr"] = pace * remaining * args.learning_rate
         log_std["lr"] = remaining * args.std_learning_rate
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
@@ -317,7 +323,9 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
-        optimise(agent, optimizer, batch, args)
+        finished = optimise(agent, optimizer, batch, args)
+        # Many small steps average out more noise than the few large ones that reach max_kl.
+        pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = diagnose(agent, batch, args)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs)
@@ -354,9 +362,9 @@ def parse_args(argv=None):
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
-    add("--max-kl", type=number(float, 0), default=0.03, help="a larger KL ends an update")
+    add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--log-std", type=number(float, -10, 2), default=-0.5, help="log sigma before training")
+    add("--std", type=number(float, 1e-4, 10), default=0.6, help="first sigma (smaller if K > 4)")
     return check(parser, argv)
 
 

@@ -4,6 +4,7 @@ import copy
 import math
 from types import SimpleNamespace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -89,9 +90,9 @@ def update(args, agent, batch, lr=0.0):
 # --- Policy and losses ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("log_std", "mean"), [(-0.5, 0.0), (2.0, 30.0)], ids=["fresh", "far"])
-def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, monkeypatch):
-    args, agent, batch = play(f"--log-std {log_std} --epochs 3", mean=mean)
+@pytest.mark.parametrize(("std", "mean"), [(0.6, 0.0), (7.4, 30.0)], ids=["fresh", "far"])
+def test_the_ratio_stays_1_while_the_policy_does(std, mean, monkeypatch):
+    args, agent, batch = play(f"--std {std} --epochs 3", mean=mean)
     ratios = spy(monkeypatch, "policy_loss", lambda ratio, *_: ratio.detach())
     update(args, agent, batch)
     assert len(ratios) == 3 * 3
@@ -103,10 +104,10 @@ def test_the_ratio_stays_1_while_the_policy_does(log_std, mean, monkeypatch):
 
 def test_the_density_that_acted_is_the_one_that_learns():
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
-    _, agent, batch = play("--log-std 1")
+    _, agent, batch = play("--std 2.7")
     policy = agent.policy(batch.obs)
-    torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), math.e))
-    noise = (batch.actions - policy.mean) / math.e
+    torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), 2.7))
+    noise = (batch.actions - policy.mean) / 2.7
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
     assert len(noise.unique()) == 200
@@ -133,8 +134,16 @@ def test_a_new_policy_acts_alike_in_all_states():
     assert 0 < np.abs(actions).max() < 0.05
 
 
+def test_the_first_noise_has_at_most_the_norm_of_four_dimensions():
+    inputs = gym.spaces.Box(-1, 1, (3,))
+    for dimensions, expected in (1, 0.6), (4, 0.6), (16, 0.3):
+        agent = ppo.Agent(inputs, gym.spaces.Box(-1, 1, (dimensions,)), ppo.parse_args([]))
+        std = agent.policy(torch.zeros(3)).stddev
+        torch.testing.assert_close(std.data, torch.full((dimensions,), expected))
+
+
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
-    old, new = (make(f"--log-std {x}")[2].double() for x in (-0.5, 0.2))
+    old, new = (make(f"--std {x}")[2].double() for x in (0.6, 1.2))
     new.actor[-1].bias.data += 0.7
     obs, actions = torch.randn(2, 1000, 2, dtype=torch.float64)
     squashed, gaussian = [], []
@@ -362,6 +371,20 @@ def test_both_learning_rates_fall_in_a_straight_line(first_step, monkeypatch):
     list(ppo.train(args, 1, envs, agent, ppo.make_optimizer(agent), first_step))
     expected = [(3.5e-4, 7e-3), (2.5e-4, 5e-3), (1.5e-4, 3e-3), (0.5e-4, 1e-3)]
     np.testing.assert_allclose(rates, expected[first_step // 100:])
+
+
+def test_updates_that_are_cut_short_slow_the_networks_until_updates_are_finished(monkeypatch):
+    rates, finished = [], iter([True, False, False, True, True, True, True, True, True, True, True])
+
+    def optimise(agent, optimizer, *_):
+        networks, log_std = (group["lr"] for group in optimizer.param_groups)
+        rates.append(networks / log_std)
+        return next(finished)
+
+    monkeypatch.setattr(ppo, "optimise", optimise)
+    train("--total-steps 1100 --learning-rate 1e-3 --std-learning-rate 1e-3")
+    paces = [1, 1, 0.8, 0.64, *(0.64 * 1.05**i for i in range(1, 8))]
+    np.testing.assert_allclose(rates, np.minimum(paces, 1))
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits():

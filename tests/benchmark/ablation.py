@@ -20,7 +20,7 @@ CHANGES = {  # its name: flags, or the patch of a variant
     "last layer not small": "last-layer-not-small.patch",
     "weights not orthogonal": "weights-not-orthogonal.patch",
     "σ learns as fast as μ": "--std-learning-rate 1e-3",
-    "σ = 1 at first": "--log-std 0",
+    "σ 1.7 times as large at first": "--std 1",
     "actions clipped, no tanh": "no-tanh.patch",
     "time limits treated as deaths": "time-limits-as-deaths.patch",
     "value loss clipped, too": "value-loss-clipped.patch",
