@@ -22,26 +22,26 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a), whose
+     mean over the actions of π is V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-The idea of A2C, and what is new since reinforce_mujoco.py, is bootstrapping: the critic's estimate
-replaces the rewards that are still to come, so the agent learns before an episode ends. λ in GAE
-[2] sets how far the critic is trusted. Many environments at once make a rollout more varied. In A3C
-[1] they do not wait for each other; A2C is its synchronous form. The rest are
-implementation details: observation normalisation and clipping, reward scaling, standardised
-advantages, an entropy bonus (against settling on one action too early), gradient clipping,
-orthogonal initialisation with a small last layer of π, Adam's eps.
+New compared with REINFORCE is bootstrapping: the critic's estimate replaces the rewards still to
+come, so the agent learns before an episode ends. In A3C [1] workers update shared weights without
+waiting for each other; A2C waits for all environments. GAE [2], whose λ sets how far the critic is
+trusted, takes the place of n-step returns. The rest are implementation details: observation
+normalisation and clipping, reward scaling, standardised advantages, an entropy bonus (against
+settling on one action too early), gradient clipping, orthogonal initialisation with a small last
+layer of π, Adam's eps.
 
-Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
-    c entropy_coef.
-Shapes: T rollout_steps, N num_envs, D numbers in an observation.
+Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda, c
+    entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
 An episode is `terminated` if it ended for good (a landing), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
-[2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage Estim.
+[2] Schulman et al. 2016, Generalized Advantage Estimation (short title), arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
 [4] Tobin et al. 2017, Domain Randomization for Transferring Deep Neural Networks from Simulation.
 """
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), a fraction w of all rows including these:
+        """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -138,8 +138,8 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, tensors (T, N, …); the observations to go on from; and a row for each
-    episode that ended. The environments do not reset themselves, so `next_obs` is always what
+    Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
+    each episode that ended. The environments do not reset themselves, so `next_obs` is always what
     followed the action, also at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
@@ -173,9 +173,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
     is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
-    stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
-    between cancel: A_t is the discounted sum of the rewards up to where it ends, plus the
-    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
+    between cancel, and A_t is the discounted rewards up to that end, plus the discounted V there,
+    minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -187,19 +187,19 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J, but for γ^t and a factor.
+    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J; its value need not fall.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇Σ_a π = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    As usual, γ^t is left out, to give late steps the same weight as early ones, and A is estimated.
-    Subtracting V(s) from Q(s,a) leaves the mean of the estimate as it is, and usually takes away
-    much of its noise. The actions must be drawn from the current π: a rollout serves for one step.
+    As usual, γ^t is left out, to give late steps the weight of early ones; the scale of A hardly
+    changes steps of Adam. Subtracting V(s) from Q(s,a) leaves the mean of the gradient as it is and
+    usually takes away much noise. As a must come from the current π, a rollout serves for one step.
     """
     return -(advantages * log_probs).mean()
 
@@ -236,8 +236,8 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields before the first update and after each: the steps so far, and new rows for the tables of
-    episodes and of metrics.
+    Yields before the first update and after each, when `run` may evaluate and save: the steps so
+    far, and new rows for the tables of episodes and of metrics.
     """
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
@@ -277,7 +277,7 @@ class RandomPhysics(gym.Wrapper):
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
-            self.random = np.random.default_rng([seed, 1])  # not the environment's own
+            self.random = np.random.default_rng([seed, 1])  # `seed` alone is the environment's own
         self.unwrapped.enable_wind = bool(self.random.integers(2))
         self.unwrapped.gravity = self.random.uniform(-11.99, -7.0)
         self.unwrapped.wind_power = self.random.uniform(0.0, 20.0)
@@ -289,7 +289,7 @@ class RandomPhysics(gym.Wrapper):
 
 
 def parse_args(argv=None):
-    """The options; a wrong one ends the program with a line that names it."""
+    """The options. Most wrong ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -355,7 +355,7 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 def make_seeds(seed, stream, count):
     """Integers that are independent for every seed and stream.
 
-    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
+    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -473,7 +473,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """The command line overrides a checkpoint (but for its device), which overrides defaults."""
+    """Precedence: the command line, then the checkpoint (but for its device), then the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

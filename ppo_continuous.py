@@ -19,11 +19,11 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates: they fall linearly to 0. That of the networks is lower for a while
-     if step 5 was cut short.
+  1. Anneal the learning rates linearly to 0; cut-short updates lower that of the networks further.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a).
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a), whose
+     mean over the actions of π is V(s).
   5. For several epochs, for each shuffled minibatch: go to 6 if KL(π_old ‖ π), where π_old is the
      policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
      and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
@@ -32,8 +32,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 
 Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, and
 they matter [4]: annealing, reward scaling, observation normalisation and clipping, standardised
-advantages, the KL limit, orthogonal initialisation with a small last layer of π, tanh squashing, a
-slower learning rate for σ.
+advantages, the KL limit and the learning rate that it lowers, orthogonal initialisation with a
+small last layer of π, tanh squashing, a slower learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -41,7 +41,7 @@ Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observati
 An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
-[2] Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage Estim.
+[2] Schulman et al. 2016, Generalized Advantage Estimation (short title), arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
 [4] Huang et al. 2022, The 37 Implementation Details of Proximal Policy Optimization.
 """
@@ -123,7 +123,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), a fraction w of all rows including these:
+        """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
 
         var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         mean ← (1−w)·mean + w·mean_new
@@ -151,8 +151,8 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, tensors (T, N, …); the observations to go on from; and a row for each
-    episode that ended. The environments do not reset themselves, so `next_obs` is always what
+    Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
+    each episode that ended. The environments do not reset themselves, so `next_obs` is always what
     followed the action, also at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
@@ -205,9 +205,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
     is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
-    stands for all others: little noise, but the critic's errors (bias). With λ = 1 the values in
-    between cancel: A_t is the discounted sum of the rewards up to where it ends, plus the
-    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
+    between cancel, and A_t is the discounted rewards up to that end, plus the discounted V there,
+    minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -226,7 +226,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫ ∇π da = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇∫ π da = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
@@ -297,8 +297,8 @@ def make_optimizer(agent):
 def train(args, seed, envs, agent, optimizer, env_step):
     """The algorithm, from environment step `env_step` on.
 
-    Yields before the first update and after each: the steps so far, and new rows for the tables of
-    episodes and of metrics.
+    Yields before the first update and after each, when `run` may evaluate and save: the steps so
+    far, and new rows for the tables of episodes and of metrics.
     """
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
@@ -337,7 +337,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
 
 
 def parse_args(argv=None):
-    """The options; a wrong one ends the program with a line that names it."""
+    """The options. Most wrong ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -403,7 +403,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 def make_seeds(seed, stream, count):
     """Integers that are independent for every seed and stream.
 
-    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
+    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -520,7 +520,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """The command line overrides a checkpoint (but for its device), which overrides defaults."""
+    """Precedence: the command line, then the checkpoint (but for its device), then the defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

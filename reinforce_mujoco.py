@@ -19,8 +19,9 @@ action, the more likely REINFORCE makes it:
 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the discounted return from every step t on:  G_t = r_t + γ·G_{t+1}. The discount γ
-     makes it look about 1 / (1 − γ) = 50 steps ahead, so it is less noisy than the plain sum.
+  3. Compute the discounted return from every step t on:  G_t = r_t + γ·G_{t+1}. It looks about
+     1 / (1 − γ) = 50 steps ahead, so it is less noisy than the plain sum. Where an episode ends for
+     good, G = 0; where a time limit cuts it off, G = V(s) stands for what could have followed [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
@@ -31,8 +32,8 @@ action, the more likely REINFORCE makes it:
 This is REINFORCE [1] with a baseline, and with returns counted from each step on [2]. The rest are
 implementation details: annealing, Adam, a mean over the steps of a batch, a floor under σ,
 orthogonal initialisation with a small last layer of π, and γ^t, which is left out of the gradient.
-The environment clips an action to its bounds, but log π is that of the action before. If a time
-limit ends an episode, V stands for what it has cut off [3]; so every baseline trains a critic.
+The environment clips actions to its bounds; log π is that of the action before clipping. Because
+of time limits, a critic is trained with every baseline.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -81,7 +82,7 @@ class Agent(nn.Module):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
         # The floor under σ keeps π exploring and the gradients moderate: that of log π with respect
-        # to μ is (a − μ)/σ², which has the standard deviation 1/σ, at most 10.
+        # to μ, (a − μ)/σ², has the standard deviation 1/σ, so at most 10.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -126,8 +127,6 @@ def rollout(envs, agent, args, env_step):
             obs, reward, terminated, truncated, _ = envs.step(actions)
             rewards.append(reward.item())
             done = terminated.item() or truncated.item()
-        # At a terminal state no reward can follow. At a time limit, V stands for the rewards that
-        # could have followed [3].
         last_value = 0.0 if terminated else agent.value(torch.as_tensor(obs).to(args.device)).item()
         returns += discounted_returns(rewards, last_value, args.gamma)
         env_step += len(rewards)
@@ -149,18 +148,18 @@ def discounted_returns(rewards, last_value, gamma):
 
 
 def compute_advantages(returns, values, baseline):
-    """Step 4: A = G − b; all (B,). A is constant, so the policy loss does not train the critic."""
+    """Step 4: A = G − b; all (B,). `detach` keeps the policy loss from training the critic."""
     baselines = {"none": 0.0, "mean": returns.mean(), "value": values.detach()}
     return returns - baselines[baseline]
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, but for γ^t and a factor.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value need not fall.
 
     J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
-    the actor, and E a mean over the actions of π and the answers of the environment; these depend
-    on s and a, not on the weights. V(s) is here the true expected return from s on, and Q(s,a)
-    the same if a is taken first. Then (the policy gradient theorem, [2] section 13.2)
+    the actor, and E a mean over the actions of π and the answers of the environment, which do not
+    depend on the weights, given s and a. V(s) is here the true expected return from s on, and
+    Q(s,a) the same if a is taken first. Then (the policy gradient theorem, [2] section 13.2)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -171,15 +170,16 @@ def policy_loss(log_probs, advantages):
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
     left out, to give late steps the same weight as early ones; strictly, what remains is no longer
-    the gradient of J.
+    the gradient of J. A mean instead of a sum hardly changes what Adam does.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0: it leaves
     the mean of the estimate as it is. A good one takes away much of the noise. If all returns are
-    positive, then without a baseline the gradient is towards every action that was tried, only less
-    so towards bad ones; with V, it is away from those that turned out worse than expected.
+    positive, then without a baseline every action that was tried is made more likely, bad ones only
+    less so; with V, those that turned out worse than expected are made less likely.
 
-    Two small biases shrink with the number of episodes in a batch, because both the baseline `mean`
-    and the number of steps B, which the sum over the batch is divided by, depend on the action.
+    Three small biases remain. Both the baseline `mean` and the number of steps B, by which the sum
+    over the batch is divided, depend on the actions, less and less the more episodes a batch has;
+    and at a time limit V is only an estimate.
     """
     return -(advantages * log_probs).mean()
 
@@ -201,8 +201,8 @@ def optimise(agent, optimizer, batch, args):
 def train(args, seed, envs, agent, optimizer):
     """The algorithm.
 
-    Yields before the first update and after each: the steps so far, and new rows for the tables of
-    episodes and of metrics.
+    Yields before the first update and after each, when `run` may evaluate and save: the steps so
+    far, and new rows for the tables of episodes and of metrics.
     """
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
@@ -222,7 +222,7 @@ def train(args, seed, envs, agent, optimizer):
 
 
 def parse_args(argv=None):
-    """The options; a wrong one ends the program with a line that names it."""
+    """The options. Most wrong ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -279,7 +279,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 def make_seeds(seed, stream, count):
     """Integers that are independent for every seed and stream.
 
-    Stream 0 is for weights and actions, 1 for evaluations, 2 + k for training from step k on.
+    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
