@@ -79,7 +79,7 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        std = args.std * min(1, 2 / outputs**0.5)  # beyond K = 4 the noise grows no further
+        std = args.std * min(1, 4 / outputs) ** 0.25  # for K > 4, or the noises add up to too much
         self.log_std = nn.Parameter(torch.full((outputs,), std).log())  # the same for all s
 
     def policy(self, obs):

@@ -28,7 +28,7 @@ def rollout(envs, agent, obs, args, env_step):
 def play_along(args):
     """Run like process 0, but leave updates, evaluations and files to it."""
     args.seed = [args.seed[0], args.seed[0] + 10**6 * distributed.get_rank()]
-    ppo.optimise = lambda *_: []
+    ppo.optimise = lambda *_: None
     ppo.evaluate = lambda *_: {"return_mean": 0.0}
     ppo.save = lambda *_: None
     with tempfile.TemporaryDirectory() as folder:

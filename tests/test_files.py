@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-import tqdm.std
 from conftest import SCRIPTS, only
 from harness import ROOT, World, read_json, register, results, run, table
 
@@ -132,20 +131,6 @@ def test_a_run_prints_a_line_for_each_seed_and_no_warning(script, runs, folder):
         pd.testing.assert_series_equal(row, last.round(1), check_names=False)
     assert "Warning" not in process.out + process.err
     assert "nan" not in (process.out + process.err).lower()
-
-
-def test_there_is_one_bar_which_is_drawn_ten_times_a_second_at_most(
-        script, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(tqdm.std, "time", itertools.count(step=0.04).__next__)
-    sizes = {"reinforce_mujoco": "--batch-episodes 1"}
-    options = sizes.get(script.name, "--num-envs 2 --rollout-steps 2").split()
-    folder = script.train(tmp_path, *options, "--num-evals", 1, env_id=script.world("Forever"))
-    out, err = capsys.readouterr()
-    assert out == ""
-    frames = err.split("\r")
-    assert 3 <= len(frames) < len(steps(folder)) / 2
-    assert "return 8.0" in frames[-1]
-    assert "nan" not in err
 
 
 def test_one_that_ends_early_keeps_what_was_saved_and_each_file_is_whole(

@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from conftest import SCRIPTS
 
 import a2c_vector as a2c
@@ -85,22 +84,6 @@ def test_physics_do_not_change_what_else_an_environment_draws():
             np.testing.assert_array_equal(one[0], two[0])
             assert one[1:] == two[1:]
     assert winds == {True, False}
-
-
-def test_the_same_seed_gives_a_used_environment_the_same_episodes():
-    """The same physics, the same ground, in the first episodes as in those that follow."""
-    args = a2c.parse_args(["--num-envs", "4", "--rollout-steps", "250"])
-    envs = a2c.make_envs(LANDER, args.num_envs, "Disabled", wrappers=[a2c.RandomPhysics])
-    agent = a2c.Agent(envs.single_observation_space, envs.single_action_space, args)
-    played = []
-    for seed in 1, 1, 2:
-        torch.manual_seed(0)
-        obs, _ = envs.reset(seed=a2c.make_seeds(seed, stream=2, count=4))
-        batch, _, episodes = a2c.rollout(envs, agent, obs, args, 0)
-        assert len(episodes) > 4
-        played.append(batch.next_obs)
-    assert torch.equal(played[0], played[1])
-    assert not torch.equal(played[0], played[2])
 
 
 def test_physics_differ_between_environments_episodes_and_seeds_and_repeat_with_the_seed():

@@ -1,14 +1,11 @@
 """README and docs stay true: commands, snippets, flags, links and names."""
 
 import argparse
-import ast
 import importlib
 import inspect
-import io
 import re
 import subprocess
 import sys
-import tokenize
 
 import gymnasium as gym
 import harness
@@ -173,27 +170,3 @@ def test_tasks_and_symbols_are_those_of_the_defaults():
         (row,) = re.findall(rf"^\| . \| `--{flag.replace('_', '-')}` \|.*$", TEXT, re.MULTILINE)
         for cell, script in zip(row.split("|")[3:6], SCRIPTS):
             assert cell.strip() == str(common.defaults(script).get(flag, "–")), flag
-
-
-def test_the_lines_of_code_are_counted_right():
-    for name, script in SCRIPTS.items():
-        algorithm, total = code_lines(script.module)
-        assert f"| `{name}.py` | {total} | {algorithm} |" in TEXT
-
-
-def code_lines(module):
-    """Lines of code, neither blank nor comment nor docstring: above the rule, and in all."""
-    text = inspect.getsource(module)
-    docs = set()
-    for node in ast.walk(ast.parse(text)):
-        kinds = ast.Module, ast.FunctionDef, ast.ClassDef
-        if isinstance(node, kinds) and ast.get_docstring(node):
-            docs.update(range(node.body[0].lineno, node.body[0].end_lineno + 1))
-    skip = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
-            tokenize.ENDMARKER}
-    lines = set()
-    for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type not in skip:
-            lines.update(range(token.start[0], token.end[0] + 1))
-    rule = text[:text.index("\n# =====")].count("\n") + 1
-    return len([x for x in lines - docs if x <= rule]), len(lines - docs)

@@ -1,13 +1,9 @@
 """docs/together.py: PPO that plays in several processes, started by torchrun."""
 
-import contextlib
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import harness
 import numpy as np
@@ -46,38 +42,21 @@ SMALL = ["--env-id", "harness:Target-v0", "--num-envs", "2", "--rollout-steps", 
 TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
 
 
-def torchrun(cwd, script, *arguments):
-    env = {**os.environ, "PYTHONPATH": str(harness.TESTS), "OMP_NUM_THREADS": "1"}
-    return subprocess.Popen(
-        [sys.executable, *TORCHRUN, script, *map(str, arguments)], cwd=cwd, env=env, text=True,
-        encoding="utf-8", stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
-
-
-def finish(process):
-    try:
-        out, err = process.communicate(timeout=120)
-    except subprocess.TimeoutExpired:
-        process.terminate()  # it ends those that it has started
-        raise
-    return process.returncode, out, err
-
-
-def write_probe(cwd, probe=PROBE):
-    for file in "ppo_continuous.py", "docs/together.py":
-        shutil.copy(harness.ROOT / file, cwd)
-    (cwd / "probe.py").write_text(probe)
-
-
 @pytest.fixture(scope="module")
 def together(tmp_path_factory):
     """A run of three updates in two processes, and what both of them saw."""
     cwd = tmp_path_factory.mktemp("together")
-    write_probe(cwd)
-    status, out, err = finish(torchrun(cwd, "probe.py", *SMALL, "--total-steps", "192"))
-    assert status == 0, err
-    assert "Warning" not in err
+    for file in "ppo_continuous.py", "docs/together.py":
+        shutil.copy(harness.ROOT / file, cwd)
+    (cwd / "probe.py").write_text(PROBE)
+    process = subprocess.run(
+        [sys.executable, *TORCHRUN, "probe.py", *SMALL, "--total-steps", "192"], cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(harness.TESTS), "OMP_NUM_THREADS": "1"}, timeout=120,
+        capture_output=True, text=True, encoding="utf-8")
+    assert process.returncode == 0, process.stderr
+    assert "Warning" not in process.stderr
     seen = [torch.load(cwd / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1)]
-    return cwd, out, *seen
+    return cwd, process.stdout, *seen
 
 
 def test_all_processes_play_with_the_same_weights_which_learn(together):
@@ -129,63 +108,3 @@ def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together)
     episodes = pd.read_csv(folder / "episodes.csv")["env_step"]  # of one step each
     assert sorted(episodes) == np.repeat(np.arange(4, 196, 4), 4).tolist()
     assert pd.read_csv(folder / "evals.csv")["env_step"].tolist() == [0, 128, 192]
-
-
-def last_step(cwd):
-    """The step of the last evaluation of the only run in `cwd`, 0 before there is one."""
-    files = list(cwd.glob("runs/*/seed-1/evals.csv"))
-    return pd.read_csv(files[0])["env_step"].iloc[-1] if files else 0
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-class TestEnd:
-    def left(self, cwd):
-        """Processes that still work in `cwd`; they may take ten seconds to end."""
-        limit = time.monotonic() + 10
-        while time.monotonic() < limit:
-            found = []
-            for link in Path("/proc").glob("[0-9]*/cwd"):
-                with contextlib.suppress(OSError):  # it has just ended, or is not ours
-                    found += [link] if os.readlink(link) == str(cwd) else []
-            if not found:
-                break
-            time.sleep(0.2)
-        return found
-
-    def test_a_resumed_run_plays_other_noise_in_each_process_and_ctrl_c_ends_all(
-            self, together, tmp_path):
-        checkpoint = harness.run_folder(together[0]) / "seed-1/checkpoint.pt"
-        write_probe(tmp_path)
-        process = torchrun(tmp_path, "probe.py", "--resume", checkpoint, "--total-steps", "1e6",
-                           "--num-evals", "2000")
-        limit = time.monotonic() + 100
-        while last_step(tmp_path) < 2000 and process.poll() is None and time.monotonic() < limit:
-            time.sleep(0.2)
-        os.killpg(process.pid, signal.SIGINT)
-        status, _, err = finish(process)
-        assert status != 0
-        assert not self.left(tmp_path)
-        folder = harness.run_folder(tmp_path) / "seed-1"
-        steps = pd.read_csv(folder / "evals.csv")["env_step"]
-        assert steps.is_monotonic_increasing, err
-        assert steps.iloc[-1] >= 2000, err
-        # The end may come between the checkpoint and the tables of one evaluation.
-        saved = torch.load(folder / "checkpoint.pt", weights_only=True)
-        assert steps.iloc[-1] in [row["env_step"] for row in saved["tables"]["evals"][-2:]]
-        assert saved["args"]["num_envs"] == 2  # those of each process
-        mine, theirs = (
-            torch.load(tmp_path / f"seen-{rank}.pt", weights_only=True) for rank in (0, 1))
-        assert not torch.equal(mine[0]["batch"]["actions"], theirs[0]["batch"]["actions"])
-        trained = torch.load(checkpoint, weights_only=True)["agent"]["actor.0.weight"]
-        for seen in (mine, theirs):
-            assert torch.equal(seen[0]["weights"]["actor.0.weight"], trained)
-
-    def test_one_that_dies_ends_the_others_with_an_error(self, tmp_path):
-        write_probe(tmp_path, PROBE.replace(
-            "    rank = ", "    if len(seen) == 3 and distributed.get_rank() == 1: exit(7)\n"
-                           "    rank = "))
-        process = torchrun(tmp_path, "probe.py", *SMALL, "--total-steps", "1e6")
-        status, _, err = finish(process)
-        assert status != 0
-        assert "exitcode  : 7" in err
-        assert not self.left(tmp_path)
