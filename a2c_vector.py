@@ -22,8 +22,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a), whose
-     mean over the actions of π is V(s).
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a); the
+     mean of Q(s,a) over the actions of π is V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -234,11 +234,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """The algorithm, from environment step `env_step` on.
-
-    Yields before the first update and after each, when `run` may evaluate and save: the steps so
-    far, and new rows for the tables of episodes and of metrics.
-    """
+    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
@@ -338,10 +334,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
-
-    NaN, infinity, and numbers too large for float32 raise a ValueError.
-    """
+    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
     wrappers = [*wrappers,
                 lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
@@ -353,9 +346,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 
 def make_seeds(seed, stream, count):
-    """Integers that are independent for every seed and stream.
-
-    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
+    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
+    training from step k on, which is 0 unless it is resumed.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -444,11 +436,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed, and draw learning_curve.png.
-
-    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
-    band reaches from the lowest seed to the highest.
-    """
+    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
     if not tables:
@@ -456,7 +444,7 @@ def report(folder, env_id):
     data = pd.concat(tables, ignore_index=True)
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1
+    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
     data["env_step"] = data["env_step"] // width * width
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

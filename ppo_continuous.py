@@ -19,21 +19,21 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates linearly to 0; cut-short updates lower that of the networks further.
+  1. Anneal the learning rates linearly to 0. The networks' also falls if the KL limit ends step 5.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a), whose
-     mean over the actions of π is V(s).
-  5. For several epochs, for each shuffled minibatch: go to 6 if KL(π_old ‖ π), where π_old is the
-     policy that played the rollout, exceeds max_kl. Otherwise standardise A over the minibatch
-     and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
+  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a); the
+     mean of Q(s,a) over the actions of π is V(s).
+  5. For several epochs, for each minibatch of shuffled steps: go to 6 if KL(π_old ‖ π) exceeds
+     max_kl; π_old is the policy that played the rollout. Otherwise standardise A over the
+     minibatch and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, and
-they matter [4]: annealing, reward scaling, observation normalisation and clipping, standardised
-advantages, the KL limit and the learning rate that it lowers, orthogonal initialisation with a
-small last layer of π, tanh squashing, a slower learning rate for σ.
+Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, many
+from [4]: annealing, reward scaling, observation normalisation and clipping, standardising A, the KL
+limit and the learning rate that it lowers, orthogonal initialisation with a small last layer of π,
+tanh squashing, a slower learning rate for σ.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -79,7 +79,7 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        std = args.std * min(1, 4 / outputs) ** 0.25  # for K > 4, or the noises add up to too much
+        std = args.std * min(1, 4 / outputs) ** 0.25  # less noise if K > 4 (by trial)
         self.log_std = nn.Parameter(torch.full((outputs,), std).log())  # the same for all s
 
     def policy(self, obs):
@@ -103,8 +103,8 @@ class Agent(nn.Module):
 def squash(actions, space):
     """Unbounded actions (N, K) -> (N, K) within the bounds of the environment's action space.
 
-    It counts as a part of the environment (`make_envs` puts it there): π is the density of the
-    unbounded action, so neither log π nor ρ needs a correction.
+    A part of the environment (see `make_envs`): π is the density of unbounded actions, so neither
+    log π nor ρ needs a correction.
     """
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
@@ -175,9 +175,8 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    One learning rate can serve all tasks if the critic's targets vary alike, whatever the unit of
-    the rewards. We want to divide by the spread of the returns, but a return lies in the future. F
-    discounts past rewards instead, so its spread should be similar, and it is known at every step:
+    Then the critic's targets vary alike whatever the unit of the rewards, and one learning rate can
+    serve all tasks. A return lies in the future; F sums past rewards instead, and varies similarly:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -230,12 +229,12 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a factor; only γ^t
-    is left out, to give late steps the same weight as early ones. Further away it is less and less
-    exact, because states and advantages remain those of π_old; so the clip takes away the incentive
-    to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where
-    ρ has moved the wrong way, min selects the unclipped term, which leads back. Other samples may
-    still push ρ further out; that is what max_kl is for.
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor,
+    but without γ^t, so that late steps weigh as much as early ones. Further away it is less exact,
+    as states and advantages remain those of π_old; so the clip takes away the incentive to go far:
+    once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where ρ has gone
+    the wrong way, min selects the unclipped term, which leads back. Other samples may still push ρ
+    further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -251,10 +250,7 @@ def approximate_kl(log_ratio):
 
 
 def optimise(agent, optimizer, batch, args):
-    """Step 5: epochs of shuffled minibatches, each a step of Adam; all of `batch` is (T·N, …).
-
-    Returns whether it got through them all before π was too far from π_old.
-    """
+    """Step 5; all of `batch` is (T·N, …). Returns whether the KL limit let it finish."""
     for _ in range(args.epochs):
         for rows in torch.randperm(len(batch.obs)).split(args.minibatch_size):
             policy = agent.policy(batch.obs[rows])
@@ -274,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """What to look at if training fails: of π after the update, of V before it (so R − V = A)."""
+    """To look at if training fails: π after the update, V before it (R − V = A; A as in step 4)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -295,11 +291,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """The algorithm, from environment step `env_step` on.
-
-    Yields before the first update and after each, when `run` may evaluate and save: the steps so
-    far, and new rows for the tables of episodes and of metrics.
-    """
+    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
@@ -324,7 +316,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # Many small steps average out more noise than the few large ones that reach max_kl.
+        # Many small steps average out more noise than a few large ones that reach the KL limit.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = diagnose(agent, batch, args)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
@@ -386,10 +378,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
-
-    NaN, infinity, and numbers too large for float32 raise a ValueError.
-    """
+    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
     envs = gym.make_vec(
@@ -401,9 +390,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers that are independent for every seed and stream.
-
-    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
+    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
+    training from step k on, which is 0 unless it is resumed.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -491,11 +479,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed, and draw learning_curve.png.
-
-    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
-    band reaches from the lowest seed to the highest.
-    """
+    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
     if not tables:
@@ -503,7 +487,7 @@ def report(folder, env_id):
     data = pd.concat(tables, ignore_index=True)
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1
+    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
     data["env_step"] = data["env_step"] // width * width
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

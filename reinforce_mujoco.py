@@ -199,11 +199,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """The algorithm.
-
-    Yields before the first update and after each, when `run` may evaluate and save: the steps so
-    far, and new rows for the tables of episodes and of metrics.
-    """
+    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
     yield env_step, [], []
@@ -263,10 +259,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments that are stepped together; without a time limit they get 10,000 steps.
-
-    NaN, infinity, and numbers too large for float32 raise a ValueError.
-    """
+    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.ClipAction]
     envs = gym.make_vec(
@@ -277,9 +270,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers that are independent for every seed and stream.
-
-    Stream 0: weights, actions; 1: evaluations; 2 + k: training from step k on (0, or resumed).
+    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
+    training from step k on, which is 0 unless it is resumed.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -359,11 +351,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed, and draw learning_curve.png.
-
-    A point is a mean over the seeds and over a fiftieth of the run, drawn where that begins; the
-    band reaches from the lowest seed to the highest.
-    """
+    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
     tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
     if not tables:
@@ -371,7 +359,7 @@ def report(folder, env_id):
     data = pd.concat(tables, ignore_index=True)
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1
+    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
     data["env_step"] = data["env_step"] // width * width
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import gymnasium as gym
 import harness
 import numpy as np
 import pandas as pd
@@ -28,10 +29,10 @@ class Timed(harness.World):
     """Only a time limit ends it; rewards depend on actions and on time."""
 
     def reward(self, action):
-        return self.steps - float(np.square(action - [2, 0.1]).sum())
+        return self.steps - float(np.square(action - 0.1).sum())
 
 
-harness.register("Timed", Timed, limit=8, length=None)
+harness.register("Timed", Timed, limit=8, length=None, actions=gym.spaces.Box(-1, 1, (5,)))
 
 
 # --- Variants -------------------------------------------------------------------------------------
@@ -42,7 +43,7 @@ def weights_after_training(folder, variant):
     spec = importlib.util.spec_from_file_location("variant", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.02 --max-kl 1e9"
+    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.02"
     args = module.parse_args(["--env-id", "Timed-v0", *sizes.split()])
     torch.manual_seed(0)
     envs = module.make_envs(args.env_id, args.num_envs, "Disabled")

@@ -6,11 +6,12 @@ from benchmark.common import PPO, number, spread
 
 FIGURES = ("ablation",)
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Ant-v5"
-STEPS, SEEDS = 500_000, range(1, 9)
+STEPS, SEEDS = 300_000, range(1, 9)
 CHANGES = {  # its name: flags, or the patch of a variant
     "defaults": "",
     "advantages anew in each epoch": "advantages-anew.patch",
     "no KL limit": "--max-kl 1e9",
+    "networks not slowed down": "networks-not-slowed-down.patch",
     "ratio not clipped": "--clip-eps 1e9",
     "neither KL limit nor clip": "--max-kl 1e9 --clip-eps 1e9",
     "advantages not standardised": "advantages-not-standardised.patch",
@@ -21,6 +22,7 @@ CHANGES = {  # its name: flags, or the patch of a variant
     "weights not orthogonal": "weights-not-orthogonal.patch",
     "σ learns as fast as μ": "--std-learning-rate 1e-3",
     "σ 1.7 times as large at first": "--std 1",
+    "σ does not depend on K": "first-noise-the-same.patch",
     "actions clipped, no tanh": "no-tanh.patch",
     "time limits treated as deaths": "time-limits-as-deaths.patch",
     "value loss clipped, too": "value-loss-clipped.patch",
