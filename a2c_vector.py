@@ -234,7 +234,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
+    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []

@@ -291,7 +291,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
+    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0

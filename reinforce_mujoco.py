@@ -199,7 +199,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields, at first and after each update: the steps so far, new rows of episodes and metrics."""
+    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
     yield env_step, [], []
