@@ -27,7 +27,7 @@ DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"  # the parts
 SOLVED = 200  # LunarLander's threshold
 IDEAS = {
     REINFORCE: "make actions more likely in proportion to the return that followed them",
-    A2C: "REINFORCE with a critic, so that it learns before an episode ends, from many "
+    A2C: "REINFORCE with a critic whose predictions let it learn before an episode ends; many "
          "environments at once",
     PPO: "A2C with several small, safe steps on the same data",
 }
@@ -113,7 +113,7 @@ def report(data, draw):
         "score": score(suite),
         "a2c": landings(last[last["script"] == A2C]),
         "usual": common.table(["file", "its idea", "task", "return, mean ± std", "every seed",
-                                "steps", "minutes of training"], usual),
+                                "steps", "minutes of training, a seed"], usual),
     }
 
 
