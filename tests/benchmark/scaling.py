@@ -1,7 +1,5 @@
 """Steps per second against the number of environments, in one process and in a process each."""
 
-import os
-
 import pandas as pd
 import seaborn as sns
 from benchmark import common
@@ -52,13 +50,4 @@ def report(data, draw):
         axis.set_xticks(counts, counts)
         axis.set_ylim(0)
     draw(grid, "scaling")
-    return {"speeds": table, "serial": serial_share(median, counts[-1])}
-
-
-def serial_share(median, count):
-    """The share of the work that p cores do not share (Karp and Flatt 1990), for training."""
-    cores = os.cpu_count()
-    speed_up = median["training", "async", count] / median["training", "sync", count]
-    share = (1 / speed_up - 1 / cores) / (1 - 1 / cores)
-    return (f"With {count} environments a process each trains {speed_up:.2f} times as fast as one "
-            f"process, on {cores} cores; the serial share is {share:.2f}.")
+    return {"speeds": table}
