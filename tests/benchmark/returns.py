@@ -101,8 +101,9 @@ def report(data, draw):
     for env_id, (published, source) in PUBLISHED.items():
         x = suite[suite["env_id"] == env_id]
         if len(x):
-            mean, every = spread(x["return_mean"])
-            sampled = number(x["train_return"].mean())
+            digits = int(abs(published) < 100)
+            mean, every = spread(x["return_mean"], digits)
+            sampled = number(x["train_return"].mean(), digits)
             rows.append([env_id, mean, every, sampled, f"{published:,} {source}".replace("-", "−")])
     shown = data["part"].eq(MILLION) & data["env_id"].isin(suite["env_id"])
     if shown.any():
