@@ -147,8 +147,9 @@ def curve(data, draw, script):
 def panels(data):
     """A panel per task: mean, lowest and highest over seeds, and what was published."""
     grid = sns.relplot(common.in_bins(data, "return_mean", "env_id"), x="env_step", y="return_mean",
-                       col="env_id", col_wrap=5, height=2.6, kind="line", errorbar=("pi", 100),
-                       aspect=0.9, facet_kws={"sharex": False, "sharey": False})
+                       col="env_id", col_wrap=min(5, data["env_id"].nunique()), kind="line",
+                       errorbar=("pi", 100), height=2.6, aspect=0.9,
+                       facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_ylabels("return in evaluation")
     for env_id, axis in grid.axes_dict.items():
         axis.axhline(PUBLISHED[env_id][0], color="grey", linestyle="--", linewidth=1)
