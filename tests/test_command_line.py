@@ -6,8 +6,7 @@ import shutil
 import sys
 
 import pytest
-import torch
-from conftest import SCRIPTS, only
+from conftest import only
 from gymnasium.spaces import Box, Dict, MultiDiscrete
 from harness import register, run_folder
 
@@ -100,28 +99,16 @@ def test_options_that_would_have_no_effect_or_cannot_work_are_named(script, refu
     assert "--vectorization: " in refusal(script, *options)
 
 
-class Malicious:
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return type(self.path).touch, (self.path,)
-
-
-def test_what_is_no_checkpoint_is_refused_and_runs_no_code(script, folder, refusal, tmp_path):
-    """A missing file, an empty name (a variable that is not set), a folder, damage, an attack."""
+def test_what_is_no_checkpoint_is_refused(script, folder, refusal, tmp_path):
+    """A missing file, an empty name (a variable that is not set), a folder, damage."""
     whole = (folder / "seed-3/checkpoint.pt").read_bytes()
-    checkpoint, victim = tmp_path / "checkpoint.pt", tmp_path / "victim"
-    torch.save({"args": Malicious(victim)}, tmp_path / "malicious.pt")
-    contents = [whole[: len(whole) // 2], b"", pickle.dumps([1, 2], 2),
-                (tmp_path / "malicious.pt").read_bytes()]
+    checkpoint = tmp_path / "checkpoint.pt"
     for flag in ["--watch"] if script.name == "reinforce_mujoco" else ["--watch", "--resume"]:
         for path in "no/such/file", "", ".":
             assert "argument CHECKPOINT " in refusal(script, flag, path)
-        for content in contents:
+        for content in whole[: len(whole) // 2], b"", pickle.dumps([1, 2], 2):
             checkpoint.write_bytes(content)
             assert f"argument CHECKPOINT {checkpoint}: " in refusal(script, flag, checkpoint)
-    assert not victim.exists()
 
 
 def test_a_checkpoint_of_another_script_is_refused(script, runs, refusal, tmp_path):
@@ -139,19 +126,3 @@ def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, capsys):
     for name in vars(script.module.parse_args([])):
         words = re.search(rf"--{name.replace('_', '-')} (.*?)(?= --|$)", flat).group(1)
         assert re.search(r"[a-z]{3}", words.split("(default")[0]), name
-
-
-def test_a_wrong_folder_for_results_is_an_ordinary_error(script, tmp_path, monkeypatch):
-    (tmp_path / "a_file").touch()
-    monkeypatch.setattr(sys, "argv", [script.file, "--out-dir", str(tmp_path / "a_file")])
-    with pytest.raises(OSError, match="a_file"):
-        script.module.main()
-
-
-def test_each_script_has_options_for_what_it_does_only():
-    shared = {"--seed", "--total-steps", "--device", "--out-dir", "--env-id", "--gamma",
-              "--learning-rate", "--watch", "--num-evals", "--eval-episodes"}
-    for script in SCRIPTS.values():
-        flags = {"--" + name.replace("_", "-") for name in vars(script.module.parse_args([]))}
-        assert shared < flags
-        assert ("--resume" in flags) == (script.name != "reinforce_mujoco")
