@@ -22,8 +22,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a); the
-     mean of Q(s,a) over the actions of π is V(s).
+  4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
+     squares fits its mean over the actions of π, which is V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -197,16 +197,16 @@ def policy_loss(log_probs, advantages):
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇Σ_a π = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    As usual, γ^t is left out, to give late steps the weight of early ones; the scale of A hardly
-    changes steps of Adam. Subtracting V(s) from Q(s,a) leaves the mean of the gradient as it is and
-    usually takes away much noise. As a must come from the current π, a rollout serves for one step.
+    As usual, γ^t is left out, so that late steps count as much as early ones. Subtracting V(s) from
+    Q(s,a) leaves the mean of the gradient as it is, and usually takes away much of its noise. As a
+    must be drawn from the current π, a rollout serves for one step.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Subtracting the mean usually reduces noise; the division gives A a scale of 1.
+    # Mean 0: less noise, usually. Scale 1: the same weight of the entropy suits all rewards.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)
@@ -234,7 +234,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
+    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
@@ -346,8 +346,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
-    training from step k on, which is 0 unless it is resumed.
+    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
+    for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -461,7 +461,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Precedence: the command line, then the checkpoint (but for its device), then the defaults."""
+    """Parse and check: the command line overrides a checkpoint (not its device), that defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

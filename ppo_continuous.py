@@ -19,13 +19,13 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates linearly to 0. The networks' also falls if the KL limit ends step 5.
+  1. Anneal the learning rates linearly to 0; the networks' is cut further if max_kl ends step 5.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE). The critic's target is R = A + V(s), an estimate of Q(s,a); the
-     mean of Q(s,a) over the actions of π is V(s).
-  5. For several epochs, for each minibatch of shuffled steps: go to 6 if KL(π_old ‖ π) exceeds
-     max_kl; π_old is the policy that played the rollout. Otherwise standardise A over the
+  4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
+     squares fits its mean over the actions of π, which is V(s).
+  5. For several epochs, for each minibatch of shuffled transitions: go to 6 if KL(π_old ‖ π)
+     exceeds max_kl; π_old is the policy that played the rollout. Otherwise standardise A over the
      minibatch and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -176,7 +176,7 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
     Then the critic's targets vary alike whatever the unit of the rewards, and one learning rate can
-    serve all tasks. A return lies in the future; F sums past rewards instead, and varies similarly:
+    serve all tasks. A return lies in the future; as a stand-in, F sums past rewards:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # Subtracting the mean usually reduces noise; the division gives A a scale of 1.
+            # No bias by the mean, as E[∇log π] = 0, and less noise, usually; dividing sets a scale.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -291,7 +291,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
+    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
     networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
@@ -390,8 +390,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
-    training from step k on, which is 0 unless it is resumed.
+    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
+    for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -504,7 +504,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """Precedence: the command line, then the checkpoint (but for its device), then the defaults."""
+    """Parse and check: the command line overrides a checkpoint (not its device), that defaults."""
     args = parser.parse_args(argv)
     path = args.resume or args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)

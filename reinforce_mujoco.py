@@ -199,7 +199,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields, at first and after each update: the steps, new rows of episodes and metrics."""
+    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
     yield env_step, [], []
@@ -270,8 +270,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 evaluations, 2 + k
-    training from step k on, which is 0 unless it is resumed.
+    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
+    for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -375,7 +375,7 @@ def report(folder, env_id):
 
 
 def check(parser, argv):
-    """The command line overrides a checkpoint, which overrides defaults."""
+    """Parse and check: the command line overrides a checkpoint, that defaults."""
     args = parser.parse_args(argv)
     path = args.watch
     expected = Exception if path else (gym.error.Error, ImportError, ValueError)
