@@ -31,14 +31,14 @@ def test_a_copied_checkpoint_goes_on_in_a_new_folder_and_nothing_else_changes(
     shutil.copytree(folder, copy / "seed-9")
     shutil.copy(folder / "seed-3/checkpoint.pt", copy)
     before = contents(copy)
-    options = "--total-steps", 1024, "--learning-rate", 0.5
+    options = "--total-steps", 1024, "--learning-rate", 8e-5
     process = run(script.file, "--resume", copy / "checkpoint.pt", *options, cwd=tmp_path)
     assert contents(copy) == before
     new = run_folder(tmp_path)
     assert set(contents(new)) == {"args.json", "learning_curve.png"} | {
         f"seed-3/{name}" for name in ("checkpoint.pt", "episodes.csv", "metrics.csv", "evals.csv")}
     args = read_json(new / "args.json")
-    assert (args["total_steps"], args["learning_rate"], args["seed"]) == (1024, 0.5, [3])
+    assert (args["total_steps"], args["learning_rate"], args["seed"]) == (1024, 8e-5, [3])
     assert args["resume"] == str(copy / "checkpoint.pt")
     assert results(process)["env_step"].to_dict() == {"seed-3": 1024}
 
@@ -49,7 +49,7 @@ def test_a_copied_checkpoint_goes_on_in_a_new_folder_and_nothing_else_changes(
         old = table(folder / f"seed-3/{name}.csv")
         pd.testing.assert_frame_equal(table(seed / f"{name}.csv").head(len(old)), old)
     assert pd.read_csv(seed / "evals.csv")["seconds"].is_monotonic_increasing
-    assert load(seed)["optimizer"]["param_groups"][0]["lr"] == pytest.approx(0.5 / 8)
+    assert load(seed)["optimizer"]["param_groups"][0]["lr"] == pytest.approx(1e-5)
     count = load(seed)["agent"]["obs_stats.count"]
     assert count == 1024
 
