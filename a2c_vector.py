@@ -41,7 +41,7 @@ Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamm
 An episode is `terminated` if it ended for good (a landing), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
-[2] Schulman et al. 2016, Generalized Advantage Estimation (short title), arXiv 1506.02438.
+[2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
 [4] Tobin et al. 2017, Domain Randomization for Transferring Deep Neural Networks from Simulation.
 """
@@ -198,15 +198,15 @@ def policy_loss(log_probs, advantages):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
     As usual, γ^t is left out, so that late steps count as much as early ones. Subtracting V(s) from
-    Q(s,a) leaves the mean of the gradient as it is, and usually takes away much of its noise. As a
-    must be drawn from the current π, a rollout serves for one step.
+    Q(s,a) leaves the mean of the gradient as it is, and usually takes away much of its noise. The
+    actions must be drawn from the current π, so a rollout serves for one step.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Mean 0: less noise, usually. Scale 1: the same weight of the entropy suits all rewards.
+    # The mean acts as a baseline and usually reduces noise; the division sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)
@@ -334,7 +334,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
     wrappers = [*wrappers,
                 lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
@@ -346,8 +346,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
-    for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
+    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -19,7 +19,7 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates linearly to 0; the networks' is cut further if max_kl ends step 5.
+  1. Anneal the learning rates linearly to 0; lower the networks' further while step 5 ends early.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
@@ -33,7 +33,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, many
 from [4]: annealing, reward scaling, observation normalisation and clipping, standardising A, the KL
 limit and the learning rate that it lowers, orthogonal initialisation with a small last layer of π,
-tanh squashing, a slower learning rate for σ.
+tanh squashing, a slower learning rate for σ, less noise in each of many action dimensions.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -41,7 +41,7 @@ Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observati
 An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
-[2] Schulman et al. 2016, Generalized Advantage Estimation (short title), arXiv 1506.02438.
+[2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
 [4] Huang et al. 2022, The 37 Implementation Details of Proximal Policy Optimization.
 """
@@ -176,7 +176,7 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
     Then the critic's targets vary alike whatever the unit of the rewards, and one learning rate can
-    serve all tasks. A return lies in the future; as a stand-in, F sums past rewards:
+    serve all tasks. A return lies in the future; F, its stand-in, discounts past rewards:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # No bias by the mean, as E[∇log π] = 0, and less noise, usually; dividing sets a scale.
+            # The mean acts as a baseline and usually reduces noise; the division sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -270,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """To look at if training fails: π after the update, V before it (R − V = A; A as in step 4)."""
+    """For finding faults: π after the update, V before it, so R − V = A, here not standardised."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -378,7 +378,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
     envs = gym.make_vec(
@@ -390,8 +390,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
-    for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
+    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

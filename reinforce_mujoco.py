@@ -259,7 +259,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments, limited to 10,000 steps if they have no limit; NaN is a ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.ClipAction]
     envs = gym.make_vec(
@@ -270,8 +270,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent of other seeds and streams: 0 for weights and actions, 1 for evaluations, 2 + k
-    for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
+    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
