@@ -206,7 +206,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # The mean acts as a baseline and usually reduces noise; the division sets the scale to 1.
+    # The mean acts as a baseline, usually reducing noise; the division sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)

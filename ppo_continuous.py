@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # The mean acts as a baseline and usually reduces noise; the division sets the scale to 1.
+            # The mean acts as a baseline, usually reducing noise; the division sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
