@@ -8,8 +8,8 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about two minutes, nine
-agents of ten earn a return of 215 to 274 in evaluation, the tenth 179; 200 counts as solved.
+trains three agents in parallel to land on the moon, for 1,000,000 steps, about two minutes. Of ten
+agents, nine then earned a return of 215 to 274 in evaluation, the tenth 179; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -28,13 +28,13 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-New compared with REINFORCE is bootstrapping: the critic's estimate replaces the rewards still to
-come, so the agent learns before an episode ends. In A3C [1] workers update shared weights without
-waiting for each other; A2C waits for all environments. GAE [2], whose λ sets how far the critic is
-trusted, takes the place of n-step returns. The rest are implementation details: observation
-normalisation and clipping, reward scaling, standardised advantages, an entropy bonus (against
-settling on one action too early), gradient clipping, orthogonal initialisation with a small last
-layer of π, Adam's eps.
+REINFORCE weights log π by the rewards of whole episodes. New here is bootstrapping: the critic's
+estimate replaces the rewards still to come, so the agent learns before an episode ends. In A3C [1]
+workers update shared weights without waiting for each other; A2C waits for all environments. GAE
+[2], whose λ sets how far the critic is trusted, replaces A3C's sum of a fixed number of rewards.
+The rest are implementation details: observation normalisation and clipping, reward scaling,
+standardised advantages, an entropy bonus (against settling on one action too early), gradient
+clipping, orthogonal initialisation with a small last layer of π, Adam's eps.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda, c
     entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -187,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J; its value need not fall.
+    """−mean(A·log π); log π, A are (T, N). Only its gradient matters: it estimates −∇J (nearly).
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
@@ -197,9 +197,10 @@ def policy_loss(log_probs, advantages):
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇Σ_a π = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    As usual, γ^t is left out, so that late steps count as much as early ones. Subtracting V(s) from
-    Q(s,a) leaves the mean of the gradient as it is, and usually takes away much of its noise. The
-    actions must be drawn from the current π, so a rollout serves for one step.
+    As usual, γ^t is left out, so that late steps count as much as early ones. V(s), subtracted from
+    Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it is, and usually takes
+    away much of its noise. The actions must be drawn from the current π, so a rollout serves for
+    one update.
     """
     return -(advantages * log_probs).mean()
 
@@ -243,6 +244,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         remaining = 1 - env_step / args.total_steps
         actor["lr"] = remaining * args.learning_rate
         critic["lr"] = remaining * args.critic_learning_rate
+        entropy_coef = remaining * args.entropy_coef
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
         # Step 3: scale the rewards.
@@ -254,8 +256,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
-        metrics = optimise(
-            agent, optimizer, batch, remaining * args.entropy_coef, args.max_grad_norm)
+        metrics = optimise(agent, optimizer, batch, entropy_coef, args.max_grad_norm)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
         env_step += batch.rewards.numel()  # T·N
@@ -421,7 +422,7 @@ def run(index, args, folder):
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if parent and not parent.is_alive():
-                return  # it was killed; nobody waits for this seed
+                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
@@ -470,9 +471,9 @@ def check(parser, argv):
             saved = torch.load(path, "cpu", weights_only=True)["args"]
             args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
         env = gym.make(args.env_id)
-        spaces = env.observation_space, env.action_space
-        fits = isinstance(spaces[0], gym.spaces.Box) and len(spaces[0].shape) == 1
-        if not fits or spaces[1] != gym.spaces.Discrete(gym.spaces.flatdim(spaces[1])):
+        observations, actions = env.observation_space, env.action_space
+        fits = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1
+        if not fits or not isinstance(actions, gym.spaces.Discrete) or actions.start != 0:
             parser.error("argument --env-id: takes flat Box observations, Discrete actions from 0")
         if args.vectorization == "async" and len(args.seed) > 1:
             parser.error("argument --vectorization: async takes one seed")

@@ -19,21 +19,21 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal the learning rates linearly to 0; lower the networks' further while step 5 ends early.
+  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a third.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
      squares fits its mean over the actions of π, which is V(s).
-  5. For several epochs, for each minibatch of shuffled transitions: go to 6 if KL(π_old ‖ π)
-     exceeds max_kl; π_old is the policy that played the rollout. Otherwise standardise A over the
-     minibatch and, with the ratio ρ = π(a|s) / π_old(a|s), take a step of Adam on
+  5. For several epochs, for each minibatch of shuffled transitions: if KL(π_old ‖ π) exceeds
+     max_kl, lower the learning rate and go to 6; π_old is the policy that played the rollout. If
+     not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-Rollouts, epochs and the loss are PPO [1], with GAE [2]. The rest are implementation details, many
-from [4]: annealing, reward scaling, observation normalisation and clipping, standardising A, the KL
-limit and the learning rate that it lowers, orthogonal initialisation with a small last layer of π,
-tanh squashing, a slower learning rate for σ, less noise in each of many action dimensions.
+Rollouts, epochs and the loss are PPO [1], whose Roboschool experiments also anneal σ; GAE is [2].
+The rest are implementation details, many from [4]: annealing the learning rate, reward scaling,
+observation normalisation and clipping, standardising A, the KL limit and its lower learning rate,
+orthogonal initialisation with a small last layer of π, tanh squashing, a smaller σ if K > 4.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -79,13 +79,13 @@ class Agent(nn.Module):
         self.return_stats = RunningStatistics(())
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        std = args.std * min(1, 4 / outputs) ** 0.25  # less noise if K > 4 (by trial)
-        self.log_std = nn.Parameter(torch.full((outputs,), std).log())  # the same for all s
+        self.register_buffer("std", torch.tensor(args.first_std))  # not learned: `train` anneals it
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         means = self.actor(self.obs_stats.normalise(obs))
-        gaussians = torch.distributions.Normal(means, self.log_std.exp(), validate_args=False)
+        std = self.std * min(1, 4 / means.shape[-1]) ** 0.25  # less noise if K > 4 (by trial)
+        gaussians = torch.distributions.Normal(means, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
@@ -278,29 +278,27 @@ def diagnose(agent, batch, args):
                "value_loss": (batch.advantages**2).mean() / 2,
                # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
-               "policy_std": policy.stddev.mean(), "approximate_kl": approximate_kl(log_ratio),
+               "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
     return {name: x.item() for name, x in metrics.items()}
 
 
 def make_optimizer(agent):
-    """Adam with two groups of weights, whose learning rates `train` sets: networks and log σ."""
-    networks = [*agent.actor.parameters(), *agent.critic.parameters()]
-    groups = [{"params": networks}, {"params": agent.log_std}]
-    return torch.optim.Adam(groups, fused=True)  # fused is faster
+    """Adam for both networks; `train` sets its learning rate."""
+    return torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
     """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
-    networks, log_std = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rates.
+        # Step 1: anneal the learning rate and σ.
         remaining = 1 - env_step / args.total_steps
-        networks["lr"] = pace * remaining * args.learning_rate
-        log_std["lr"] = remaining * args.std_learning_rate
+        learning_rate = pace * remaining * args.learning_rate
+        optimizer.param_groups[0]["lr"] = learning_rate
+        agent.std.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
         # Step 3: scale the rewards.
@@ -322,7 +320,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
-        yield env_step, episodes, [{"env_step": env_step, **metrics}]
+        metrics = {"env_step": env_step, "learning_rate": learning_rate, **metrics}
+        yield env_step, episodes, [metrics]
 
 
 # --- Options --------------------------------------------------------------------------------------
@@ -350,13 +349,13 @@ def parse_args(argv=None):
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="of actor and critic")
-    add("--std-learning-rate", type=number(float, 0), default=3e-4, help="of log sigma")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--std", type=number(float, 1e-4, 10), default=0.6, help="first sigma (smaller if K > 4)")
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma, if K <= 4, at first")
+    add("--last-std", type=number(float, 1e-4), default=0.2, help="sigma, if K <= 4, at the end")
     return check(parser, argv)
 
 
@@ -464,7 +463,7 @@ def run(index, args, folder):
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if parent and not parent.is_alive():
-                return  # it was killed; nobody waits for this seed
+                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
@@ -493,7 +492,7 @@ def report(folder, env_id):
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "explained_variance"],
-        ["policy_std", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
+        ["learning_rate", "approximate_kl", "clip_fraction"]], height_ratios=(3, 1, 1))
     if threshold := gym.make(env_id).spec.reward_threshold:
         panels["return"].axhline(threshold, color="grey", label=f"threshold: {threshold:g}")
     labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}

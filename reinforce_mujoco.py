@@ -20,18 +20,19 @@ action, the more likely REINFORCE makes it:
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
   3. Compute the discounted return from every step t on:  G_t = r_t + γ·G_{t+1}. It looks about
-     1 / (1 − γ) = 50 steps ahead, so it is less noisy than the plain sum. Where an episode ends for
-     good, G = 0; where a time limit cuts it off, G = V(s) stands for what could have followed [3].
+     1 / (1 − γ) = 50 steps ahead: blind to later rewards, but less noisy than the plain sum. After
+     the last step, G_T = 0 if the episode ended for good; if a time limit cut it off, the critic's
+     estimate V(s_T) stands for what could have followed [3]. The critic is a second network.
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
-         --baseline value   b_t = V(s_t), where a second network, the critic, learns to predict G_t
+         --baseline value   b_t = V(s_t), for which the critic learns to predict G_t
   5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
-     Discard the batch: the next step needs actions of the new π. Go to 1.
+     Discard the batch: the next update needs actions of the new π. Go to 1.
 
 This is REINFORCE [1] with a baseline, and with returns counted from each step on [2]. The rest are
 implementation details: annealing, Adam, a mean over the steps of a batch, a floor under σ,
-orthogonal initialisation with a small last layer of π, and γ^t, which is left out of the gradient.
+orthogonal initialisation with a small last layer of π, leaving γ^t out of the gradient.
 The environment clips actions to its bounds; log π is that of the action before clipping. Because
 of time limits, a critic is trained with every baseline.
 
@@ -81,8 +82,8 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
-        # The floor under σ keeps π exploring and the gradients moderate: that of log π with respect
-        # to μ, (a − μ)/σ², has the standard deviation 1/σ, so at most 10.
+        # The floor under σ keeps π exploring and the gradients moderate: ∂log π/∂μ = (a − μ)/σ²
+        # has the standard deviation 1/σ, which is at most 10.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -154,12 +155,13 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J; its value need not fall.
+    """−mean(A·log π); log π and A are (B,). Only its gradient matters: it estimates −∇J (nearly).
 
     J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
-    the actor, and E a mean over the actions of π and the answers of the environment, which do not
-    depend on the weights, given s and a. V(s) is here the true expected return from s on, and
-    Q(s,a) the same if a is taken first. Then (the policy gradient theorem, [2] section 13.2)
+    the actor, and E a mean over actions of π and the environment's answers; given s and a, these
+    answers, the next state s' among them, do not depend on the weights. V(s) is here the true
+    expected return from s on, not the critic, and Q(s,a) the same if a is taken first. Then (the
+    policy gradient theorem, [2] section 13.2)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -170,7 +172,7 @@ def policy_loss(log_probs, advantages):
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
     left out, to give late steps the same weight as early ones; strictly, what remains is no longer
-    the gradient of J. A mean instead of a sum hardly changes what Adam does.
+    the gradient of J. A mean instead of a sum hardly matters, as Adam adapts to the loss's scale.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0: it leaves
     the mean of the estimate as it is. A good one takes away much of the noise. If all returns are
@@ -336,7 +338,7 @@ def run(index, args, folder):
                     "args": {**vars(args), "seed": [seed]}, "tables": tables,
                     "agent": agent.state_dict()})
             if parent and not parent.is_alive():
-                return  # it was killed; nobody waits for this seed
+                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 

@@ -79,7 +79,7 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script, env_
 
 def test_it_does_not_depend_on_how_much_the_policy_explores():
     """And leaves weights and statistics as they are."""
-    envs, agent = make(ppo, "test_rollout:Uneven-v0", "--std 2.7")
+    envs, agent = make(ppo, "test_rollout:Uneven-v0", "--first-std 2.7")
     before, results = copy.deepcopy(agent.state_dict()), []
     for noise_seed in 0, 1:
         torch.manual_seed(noise_seed)

@@ -25,7 +25,7 @@ TABLES = "episodes", "metrics", "evals"
 METRICS = {
     "reinforce_mujoco": ["policy_loss", "value_loss", "policy_std"],
     "a2c_vector": ["policy_loss", "value_loss", "explained_variance", "entropy"],
-    "ppo_continuous": ["policy_loss", "value_loss", "explained_variance", "policy_std",
+    "ppo_continuous": ["learning_rate", "policy_loss", "value_loss", "explained_variance",
                        "approximate_kl", "clip_fraction"],
 }
 

@@ -19,7 +19,7 @@ def last_return(folder, options):
 def test_it_finds_the_best_action_in_an_asymmetric_box(tmp_path):
     args, found = last_return(
         tmp_path, "--env-id harness:Target-v0 --total-steps 8192 --num-envs 8 --rollout-steps 64 "
-        "--minibatch-size 64 --learning-rate 3e-3 --std 0.22")
+        "--minibatch-size 64 --learning-rate 3e-3 --first-std 0.22 --last-std 0.22")
     assert found > -0.03
     env = gym.make(args.env_id)
     agent = ppo.Agent(env.observation_space, env.action_space, args)

@@ -92,7 +92,7 @@ def update(args, agent, batch, lr=0.0):
 
 @pytest.mark.parametrize(("std", "mean"), [(0.6, 0.0), (7.4, 30.0)], ids=["fresh", "far"])
 def test_the_ratio_stays_1_while_the_policy_does(std, mean, monkeypatch):
-    args, agent, batch = play(f"--std {std} --epochs 3", mean=mean)
+    args, agent, batch = play(f"--first-std {std} --epochs 3", mean=mean)
     ratios = spy(monkeypatch, "policy_loss", lambda ratio, *_: ratio.detach())
     update(args, agent, batch)
     assert len(ratios) == 3 * 3
@@ -104,7 +104,7 @@ def test_the_ratio_stays_1_while_the_policy_does(std, mean, monkeypatch):
 
 def test_the_density_that_acted_is_the_one_that_learns():
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
-    _, agent, batch = play("--std 2.7")
+    _, agent, batch = play("--first-std 2.7")
     policy = agent.policy(batch.obs)
     torch.testing.assert_close(policy.stddev.data, torch.full((100, 2), 2.7))
     noise = (batch.actions - policy.mean) / 2.7
@@ -134,7 +134,7 @@ def test_a_new_policy_acts_alike_in_all_states():
     assert 0 < np.abs(actions).max() < 0.05
 
 
-def test_the_first_noise_is_smaller_beyond_four_dimensions():
+def test_there_is_less_noise_beyond_four_dimensions():
     inputs = gym.spaces.Box(-1, 1, (3,))
     for dimensions, expected in (1, 0.6), (4, 0.6), (64, 0.3):
         agent = ppo.Agent(inputs, gym.spaces.Box(-1, 1, (dimensions,)), ppo.parse_args([]))
@@ -143,7 +143,7 @@ def test_the_first_noise_is_smaller_beyond_four_dimensions():
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():
-    old, new = (make(f"--std {x}")[2].double() for x in (0.6, 1.2))
+    old, new = (make(f"--first-std {x}")[2].double() for x in (0.6, 1.2))
     new.actor[-1].bias.data += 0.7
     obs, actions = torch.randn(2, 1000, 2, dtype=torch.float64)
     squashed, gaussian = [], []
@@ -170,13 +170,12 @@ def test_policy_loss_starts_as_the_policy_gradient():
     log_probs = agent.policy(batch.obs).log_prob(batch.actions)
     surrogate = ppo.policy_loss((log_probs - log_probs.detach()).exp(), batch.advantages, 0.2)
     losses = surrogate, -(batch.advantages * log_probs).mean()
-    parameters = [*agent.actor.parameters(), agent.log_std]
-    ours, expected = (torch.autograd.grad(x, parameters, retain_graph=True) for x in losses)
+    ours, expected = (
+        torch.autograd.grad(x, agent.actor.parameters(), retain_graph=True) for x in losses)
     torch.testing.assert_close(ours, expected)
 
 
-@pytest.mark.parametrize(
-    ("part", "own"), [("policy loss", {"actor", "log_std"}), ("value loss", {"critic"})])
+@pytest.mark.parametrize(("part", "own"), [("policy loss", "actor"), ("value loss", "critic")])
 def test_each_part_of_the_loss_reaches_its_own_network_only(part, own):
     """The other part is constant: advantages of 0, targets that the critic knows."""
     args, agent, batch = play("--minibatch-size 100 --epochs 1")
@@ -186,7 +185,7 @@ def test_each_part_of_the_loss_reaches_its_own_network_only(part, own):
         batch.advantages *= 0
     update(args, agent, batch)
     reached = {name.split(".")[0] for name, p in agent.named_parameters() if p.grad.norm() > 1e-6}
-    assert reached == own
+    assert reached == {own}
 
 
 def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
@@ -222,7 +221,7 @@ def estimates_by_hand(old, batch, args):
 
 def ratio_by_hand(agent, old, batch, rows):
     pi, pi_old = (
-        Normal(x.actor(x.obs_stats.normalise(batch.obs[rows])), x.log_std.exp())
+        Normal(x.actor(x.obs_stats.normalise(batch.obs[rows])), x.std)
         for x in (agent, old))
     actions = batch.actions[rows]
     return (pi.log_prob(actions) - pi_old.log_prob(actions).detach()).sum(-1).exp()
@@ -250,7 +249,6 @@ def diagnostics_by_hand(agent, old, batch, args):
     ratio = ratio_by_hand(agent, old, batch, slice(None))
     log = {"policy_loss": -surrogate_by_hand(ratio, A, args.clip_eps),
            "value_loss": A.square().mean() / 2, "explained_variance": 1 - A.var() / R.var(),
-           "policy_std": agent.log_std.exp().mean(),
            "approximate_kl": (ratio - 1 - ratio.log()).mean(),
            "clip_fraction": ((ratio - 1).abs() > args.clip_eps).double().mean()}
     return {name: x.item() for name, x in log.items()}
@@ -265,7 +263,7 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     gradient goes through them. The diagnostics are of the whole rollout, after the update.
     """
     options = f"--minibatch-size {math.ceil(100 / minibatches)} --epochs 2 --clip-eps 0.1"
-    options += " --gamma 0.9 --gae-lambda 0.7 --learning-rate 0.05 --std-learning-rate 0.05"
+    options += " --gamma 0.9 --gae-lambda 0.7 --learning-rate 0.05"
     args, envs, agent = make(options, world)
     rollout = ppo.rollout
 
@@ -278,8 +276,7 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
 
     monkeypatch.setattr(ppo, "rollout", rollout_in_double)
     start = spy(monkeypatch, "optimise", lambda agent, _, batch, *__: (copy.deepcopy(agent), batch))
-    networks = [*agent.actor.parameters(), *agent.critic.parameters()]
-    optimizer = torch.optim.SGD([{"params": networks}, {"params": agent.log_std}])
+    optimizer = torch.optim.SGD(agent.parameters())
     steps = watch_steps(agent, optimizer)
     _, (_, _, (metrics,)) = ppo.train(args, 1, envs, agent, optimizer, 0)
     ((old, batch),) = start
@@ -291,7 +288,8 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(world, minibatc
     statistics.obs_stats = old.obs_stats
     expected = diagnostics_by_hand(statistics, old, batch, args)
     assert 0.1 < expected["clip_fraction"] < 0.9
-    assert metrics == pytest.approx({"env_step": 100, **expected}, rel=1e-6, abs=1e-12)
+    expected |= {"env_step": 100, "learning_rate": 0.05}
+    assert metrics == pytest.approx(expected, rel=1e-6, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -358,33 +356,32 @@ def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypa
 
 
 @pytest.mark.parametrize("first_step", [0, 100])
-def test_both_learning_rates_fall_in_a_straight_line(first_step, monkeypatch):
-    """3.5 rollouts; a training that is resumed after the first goes on with its rates."""
+def test_learning_rate_and_sigma_fall_in_a_straight_line(first_step, monkeypatch):
+    """3.5 rollouts; a training that is resumed after the first goes on with its values."""
 
     def look(agent, optimizer, *_):
-        rates = {p: group["lr"] for group in optimizer.param_groups for p in group["params"]}
-        assert rates.keys() == set(agent.parameters())
-        return rates.pop(agent.log_std), *set(rates.values())
+        return optimizer.param_groups[0]["lr"], agent.policy(torch.zeros(2)).stddev[0].item()
 
-    rates = spy(monkeypatch, "optimise", look)
-    args, envs, agent = make("--learning-rate 7e-3 --std-learning-rate 3.5e-4 --total-steps 350")
-    list(ppo.train(args, 1, envs, agent, ppo.make_optimizer(agent), first_step))
-    expected = [(3.5e-4, 7e-3), (2.5e-4, 5e-3), (1.5e-4, 3e-3), (0.5e-4, 1e-3)]
-    np.testing.assert_allclose(rates, expected[first_step // 100:])
+    found = spy(monkeypatch, "optimise", look)
+    args, envs, agent = make(
+        "--learning-rate 7e-3 --first-std 0.9 --last-std 0.2 --total-steps 350")
+    *_, last = ppo.train(args, 1, envs, agent, ppo.make_optimizer(agent), first_step)
+    expected = [(7e-3, 0.9), (5e-3, 0.7), (3e-3, 0.5), (1e-3, 0.3)]
+    np.testing.assert_allclose(found, expected[first_step // 100:], rtol=1e-5)
+    assert last[2][0]["learning_rate"] == pytest.approx(1e-3)
 
 
-def test_updates_that_are_cut_short_slow_the_networks_until_updates_are_finished(monkeypatch):
+def test_updates_that_are_cut_short_slow_learning_until_updates_are_finished(monkeypatch):
     rates, finished = [], iter([True, False, False, True, True, True, True, True, True, True, True])
 
     def optimise(agent, optimizer, *_):
-        networks, log_std = (group["lr"] for group in optimizer.param_groups)
-        rates.append(networks / log_std)
+        rates.append(optimizer.param_groups[0]["lr"])
         return next(finished)
 
     monkeypatch.setattr(ppo, "optimise", optimise)
-    train("--total-steps 1100 --learning-rate 1e-3 --std-learning-rate 1e-3")
-    paces = [1, 1, 0.8, 0.64, *(0.64 * 1.05**i for i in range(1, 8))]
-    np.testing.assert_allclose(rates, np.minimum(paces, 1))
+    train("--total-steps 1100 --learning-rate 1e-3")
+    paces = np.minimum([1, 1, 0.8, 0.64, *(0.64 * 1.05**i for i in range(1, 8))], 1)
+    np.testing.assert_allclose(rates, 1e-3 * paces * np.linspace(1, 0, 11, endpoint=False))
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits():

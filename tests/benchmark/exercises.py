@@ -16,7 +16,7 @@ CHANGES = {  # its number in the sheet: script, flags, patch
     "PPO as it is": (PPO, CHEETAH, ""),
     "6": (PPO, f"{CHEETAH} --clip-eps 1e9 --max-kl 1e9", ""),
     "7": (PPO, f"{CHEETAH} --epochs 1", ""),
-    "8": (PPO, f"{CHEETAH} --std 1.8", ""),
+    "8": (PPO, f"{CHEETAH} --first-std 0.03 --last-std 0.03", ""),
     "9": (PPO, CHEETAH, "observations-not-normalised"),
     "10": (PPO, CHEETAH, "time-limits-as-deaths"),
     "11": (PPO, CHEETAH, "another-reward"),
