@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
     def update(self, rows):
         """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
 
-        var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
         mean ← (1−w)·mean + w·mean_new
         """
         self.count += len(rows)
@@ -314,7 +314,7 @@ def parse_args(argv=None):
     add("--entropy-coef", type=number(float, 0), default=0.01, help="entropy bonus, at first")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    return check(parser, argv)
+    return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
@@ -461,26 +461,28 @@ def report(folder, env_id):
     figure.savefig(folder / "learning_curve.png")
 
 
-def check(parser, argv):
-    """Parse and check: the command line overrides a checkpoint (not its device), that defaults."""
+def parse_and_check(parser, argv):
+    """Options that are not given are the checkpoint's (not its device) or the defaults."""
     args = parser.parse_args(argv)
-    path = args.resume or args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
-    try:
-        if path:
+    if path := args.resume or args.watch:
+        try:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
+            parser.set_defaults(**saved | {"device": "cpu"})
+        except Exception as error:
+            parser.error(f"argument CHECKPOINT {path}: {error!r}")
+        args = parser.parse_args(argv)
+    try:
         env = gym.make(args.env_id)
-        observations, actions = env.observation_space, env.action_space
-        fits = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1
-        if not fits or not isinstance(actions, gym.spaces.Discrete) or actions.start != 0:
-            parser.error("argument --env-id: takes flat Box observations, Discrete actions from 0")
-        if args.vectorization == "async" and len(args.seed) > 1:
-            parser.error("argument --vectorization: async takes one seed")
-        if args.randomize and not hasattr(env.unwrapped, "turbulence_power"):
-            parser.error("argument --randomize: takes LunarLander")
-    except expected as error:
-        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
+    except (gym.error.Error, ImportError, ValueError) as error:
+        parser.error(f"argument --env-id: {error!r}")
+    observations, actions = env.observation_space, env.action_space
+    fits = isinstance(observations, gym.spaces.Box) and len(observations.shape) == 1
+    if not fits or not isinstance(actions, gym.spaces.Discrete) or actions.start != 0:
+        parser.error("argument --env-id: takes flat Box observations, Discrete actions from 0")
+    if args.vectorization == "async" and len(args.seed) > 1:
+        parser.error("argument --vectorization: async takes one seed")
+    if args.randomize and not hasattr(env.unwrapped, "turbulence_power"):
+        parser.error("argument --randomize: takes LunarLander")
     return args
 
 

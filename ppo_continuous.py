@@ -9,7 +9,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, each earns a return of about 9,323 in evaluation; 9,360 is the most there is.
+a minute, each scores about 9,323 in evaluation, of at most 9,360.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -19,7 +19,7 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a third.
+  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a half.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
@@ -125,7 +125,7 @@ class RunningStatistics(nn.Module):
     def update(self, rows):
         """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
 
-        var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
+        var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
         mean ← (1−w)·mean + w·mean_new
         """
         self.count += len(rows)
@@ -229,8 +229,8 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor,
-    but without γ^t, so that late steps weigh as much as early ones. Further away it is less exact,
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor
+    and γ^t, left out so that late steps weigh as much as early ones. Further away it is less exact,
     as states and advantages remain those of π_old; so the clip takes away the incentive to go far:
     once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where ρ has gone
     the wrong way, min selects the unclipped term, which leads back. Other samples may still push ρ
@@ -270,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """For finding faults: π after the update, V before it, so R − V = A, here not standardised."""
+    """For finding faults: of the new π and the old V, for which R − V = A (not standardised)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -314,7 +314,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # Many small steps average out more noise than a few large ones that reach the KL limit.
+        # `pace` lowers the learning rate until most updates finish: many small steps average out
+        # more noise than a few large ones that reach the KL limit.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = diagnose(agent, batch, args)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
@@ -354,9 +355,9 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma, if K <= 4, at first")
-    add("--last-std", type=number(float, 1e-4), default=0.2, help="sigma, if K <= 4, at the end")
-    return check(parser, argv)
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma at first, with 1 to 4 actions")
+    add("--last-std", type=number(float, 1e-4), default=0.3, help="and at the end")
+    return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
@@ -502,22 +503,24 @@ def report(folder, env_id):
     figure.savefig(folder / "learning_curve.png")
 
 
-def check(parser, argv):
-    """Parse and check: the command line overrides a checkpoint (not its device), that defaults."""
+def parse_and_check(parser, argv):
+    """Options that are not given are the checkpoint's (not its device) or the defaults."""
     args = parser.parse_args(argv)
-    path = args.resume or args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
-    try:
-        if path:
+    if path := args.resume or args.watch:
+        try:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**saved | {"device": "cpu"}))
+            parser.set_defaults(**saved | {"device": "cpu"})
+        except Exception as error:
+            parser.error(f"argument CHECKPOINT {path}: {error!r}")
+        args = parser.parse_args(argv)
+    try:
         env = gym.make(args.env_id)
-        spaces = env.observation_space, env.action_space
-        fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
-        if not fits or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
-            parser.error("argument --env-id: takes flat Box observations, bounded Box actions")
-    except expected as error:
-        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
+    except (gym.error.Error, ImportError, ValueError) as error:
+        parser.error(f"argument --env-id: {error!r}")
+    spaces = env.observation_space, env.action_space
+    fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
+    if not fits or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
+        parser.error("argument --env-id: takes flat Box observations, bounded Box actions")
     return args
 
 

@@ -240,7 +240,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=number(float, 0), default=3e-3, help="of actor and critic")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    return check(parser, argv)
+    return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
@@ -376,22 +376,24 @@ def report(folder, env_id):
     figure.savefig(folder / "learning_curve.png")
 
 
-def check(parser, argv):
-    """Parse and check: the command line overrides a checkpoint, that defaults."""
+def parse_and_check(parser, argv):
+    """Options that are not given are the checkpoint's or the defaults."""
     args = parser.parse_args(argv)
-    path = args.watch
-    expected = Exception if path else (gym.error.Error, ImportError, ValueError)
-    try:
-        if path:
+    if path := args.watch:
+        try:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**saved))
+            parser.set_defaults(**saved)
+        except Exception as error:
+            parser.error(f"argument CHECKPOINT {path}: {error!r}")
+        args = parser.parse_args(argv)
+    try:
         env = gym.make(args.env_id)
-        spaces = env.observation_space, env.action_space
-        fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
-        if not fits or env.action_space.dtype.kind != "f":
-            parser.error("argument --env-id: takes flat Box observations and flat Box actions")
-    except expected as error:
-        parser.error(f"argument {f'CHECKPOINT {path}' if path else '--env-id'}: {error!r}")
+    except (gym.error.Error, ImportError, ValueError) as error:
+        parser.error(f"argument --env-id: {error!r}")
+    spaces = env.observation_space, env.action_space
+    fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
+    if not fits or env.action_space.dtype.kind != "f":
+        parser.error("argument --env-id: takes flat Box observations and flat Box actions")
     return args
 
 

@@ -9,8 +9,8 @@ from harness import ROOT
 
 # Where the scripts differ on purpose, because this is the algorithm, or its options.
 DIFFERENT = {
-    "Agent", "check", "main", "make_envs", "make_optimizer", "mlp", "optimise", "parse_args",
-    "policy_loss", "report", "rollout", "run", "train"}
+    "Agent", "main", "make_envs", "make_optimizer", "mlp", "optimise", "parse_and_check",
+    "parse_args", "policy_loss", "report", "rollout", "run", "train"}
 ALIKE_IN_TWO = {"main": {"reinforce_mujoco", "ppo_continuous"},
                 "mlp": {"reinforce_mujoco", "ppo_continuous"},
                 "rollout": {"a2c_vector", "ppo_continuous"}}
