@@ -355,8 +355,8 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma at first, with 1 to 4 actions")
-    add("--last-std", type=number(float, 1e-4), default=0.3, help="and at the end")
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="first sigma, up to 4 actions")
+    add("--last-std", type=number(float, 1e-4), default=0.3, help="last sigma, up to 4 actions")
     return parse_and_check(parser, argv)
 
 
