@@ -22,8 +22,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
-     squares fits its mean over the actions of π, which is V(s).
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), which estimate Q(s,a):
+     least squares moves V(s) towards their mean over the actions of π.
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -174,8 +174,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
     is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
     stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
-    between cancel, and A_t is the discounted rewards up to that end, plus the discounted V there,
-    minus V(s_t): less bias, but the luck of every later step (variance).
+    between cancel, and A_t is the discounted rewards up to where the sum ends, plus the discounted
+    V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -207,7 +207,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # The mean acts as a baseline, usually reducing noise; the division sets the scale to 1.
+    # The mean acts as a further baseline, the division sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)

@@ -22,10 +22,10 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a half.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE). The critic's target R = A + V(s) estimates Q(s,a); least
-     squares fits its mean over the actions of π, which is V(s).
-  5. For several epochs, for each minibatch of shuffled transitions: if KL(π_old ‖ π) exceeds
-     max_kl, lower the learning rate and go to 6; π_old is the policy that played the rollout. If
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), which estimate Q(s,a):
+     least squares moves V(s) towards their mean over the actions of π.
+  5. For several epochs, for each minibatch of shuffled transitions: if KL(π_old ‖ π), with the
+     policy π_old that played the rollout, exceeds max_kl, lower the learning rate and go to 6. If
      not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -76,7 +76,7 @@ class Agent(nn.Module):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
         self.obs_stats = RunningStatistics(inputs)
-        self.return_stats = RunningStatistics(())
+        self.return_stats = RunningStatistics(())  # for `scale_rewards`, and saved with the rest
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
         self.register_buffer("std", torch.tensor(args.first_std))  # not learned: `train` anneals it
@@ -103,8 +103,8 @@ class Agent(nn.Module):
 def squash(actions, space):
     """Unbounded actions (N, K) -> (N, K) within the bounds of the environment's action space.
 
-    A part of the environment (see `make_envs`): π is the density of unbounded actions, so neither
-    log π nor ρ needs a correction.
+    The environment applies it (see `make_envs`), so π is the density of the unbounded actions, and
+    log π needs no term for tanh.
     """
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
@@ -205,8 +205,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
     is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
     stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
-    between cancel, and A_t is the discounted rewards up to that end, plus the discounted V there,
-    minus V(s_t): less bias, but the luck of every later step (variance).
+    between cancel, and A_t is the discounted rewards up to where the sum ends, plus the discounted
+    V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # The mean acts as a baseline, usually reducing noise; the division sets the scale to 1.
+            # The mean acts as a further baseline, the division sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -270,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """For finding faults: of the new π and the old V, for which R − V = A (not standardised)."""
+    """For finding faults: of π after the update and V before it, when R − V = A (unscaled)."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
