@@ -27,9 +27,9 @@ DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"  # the parts
 SOLVED = 200  # LunarLander's threshold
 IDEAS = {
     REINFORCE: "make actions more likely in proportion to the return that followed them",
-    A2C: "REINFORCE with a critic whose predictions let it learn before an episode ends; many "
-         "environments at once",
-    PPO: "A2C with several small, safe steps on the same data",
+    A2C: "the critic, until then only a baseline, also predicts the rewards still to come, so that "
+         "learning need not wait for the end of an episode; many environments at once",
+    PPO: "A2C with several small, safe gradient steps on the same data",
 }
 
 
