@@ -84,7 +84,7 @@ def study(monkeypatch):
     return fake
 
 
-def test_what_has_rows_is_not_run_again_and_rows_of_an_older_text_are_replaced(
+def test_what_has_rows_is_not_run_again_and_rows_of_an_older_text_are_dropped(
         study, tmp_path, monkeypatch):
     for _ in range(2):
         common.run("fake", False, tmp_path)
@@ -93,9 +93,9 @@ def test_what_has_rows_is_not_run_again_and_rows_of_an_older_text_are_replaced(
     assert machine == common.machine()
     assert data["seed"].tolist() == [1, 1, 2, 2]
     assert data["return_mean"].tolist() == [0.5, 1.5, 0.5, 1.5]
-    assert common.outdated(data) == 0
+    assert common.is_current(data).tolist() == 4 * [True]
     monkeypatch.setattr(common, "digest", lambda *_: "another text")
-    assert common.outdated(data) == 4
+    assert common.is_current(data).tolist() == 4 * [False]
     common.run("fake", False, tmp_path)
     assert study.measured == [1, 2, 1, 2]
     data, _ = common.read_rows(tmp_path / "fake.csv")
@@ -166,7 +166,7 @@ def test_a_report_brings_all_up_to_date_and_says_what_is_not(trial, tmp_path, mo
     shutil.copytree(trial, docs / "data")
     for name, value in {"ROOT": tmp_path, "DOCS": docs, "DATA": docs / "data"}.items():
         monkeypatch.setattr(common, name, value)
-    monkeypatch.setattr(common, "outdated", lambda _: 0)
+    monkeypatch.setattr(common, "is_current", lambda data: np.ones(len(data), bool))
     names = "returns.usual", "ablation.ablation", "scaling.scaling"
     marks = "".join(f"<!-- report: {name} - -->\n<!-- end -->\n" for name in names)
     (tmp_path / "README.md").write_text(f"Before.\n{marks}")

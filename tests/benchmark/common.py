@@ -189,7 +189,7 @@ def key(job):
 
 
 def is_row_of(data, job):
-    """Of each row, whether it is of this job, with whatever text of the script."""
+    """Of each row, whether it is of this job."""
     return np.logical_and.reduce([data[name] == x for name, x in asdict(job).items()])
 
 
@@ -200,11 +200,12 @@ def fresh(function, *args):
 
 
 def run(name, quick, folder):
-    """Do the jobs that have no rows yet, and replace the rows of older texts of their scripts."""
+    """Do the jobs that have no rows yet; rows of older texts of their scripts are dropped."""
     study, path = importlib.import_module(f"benchmark.{name}"), folder / f"{name}.csv"
     data, machines = read_rows(path)
-    jobs = [x for x in study.jobs(quick)
-            if not (is_row_of(data, x) & (data["digest"] == key(x)["digest"])).any()]
+    data = data[is_current(data)]
+    machines = machines if len(data) else []
+    jobs = [x for x in study.jobs(quick) if not is_row_of(data, x).any()]
     workers = 1 if getattr(study, "ALONE", False) else os.cpu_count()
     pool = ThreadPoolExecutor(workers)
     try:
@@ -214,7 +215,7 @@ def run(name, quick, folder):
         for future in as_completed(futures):
             job, rows = futures[future], pd.DataFrame(future.result())
             rows = rows.assign(**key(job))[[*KEYS, *rows]]
-            data = pd.concat([data[~is_row_of(data, job)], rows] if len(data) else [rows])
+            data = pd.concat([data, rows] if len(data) else [rows])
             data = data.sort_values(KEYS, kind="stable", ignore_index=True)
             machines = sorted({*machines, machine()})
             write_rows(path, data, machines)
@@ -223,11 +224,12 @@ def run(name, quick, folder):
         pool.shutdown(cancel_futures=True)
 
 
-def outdated(data):
-    """How many rows are of another text of their script than the one that is here."""
+def is_current(data):
+    """Of each row, whether it is of the text of its script that is here."""
     pairs = data[["script", "variant"]].drop_duplicates().itertuples(index=False)
     now = {tuple(x): digest(*x) for x in pairs if variant_exists(x.variant)}
-    return sum(now.get((x.script, x.variant)) != x.digest for x in data.itertuples())
+    found = [now.get((x.script, x.variant)) == x.digest for x in data.itertuples()]
+    return np.array(found, dtype=bool)
 
 
 def variant_exists(variant):
