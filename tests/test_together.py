@@ -97,7 +97,8 @@ def test_the_first_update_is_that_of_one_process_with_all_environments(together,
     next(updates)
     next(updates)
     for name, x in agent.state_dict().items():
-        assert torch.equal(x, first[1]["weights"][name]), name
+        if name != "std":  # it has been annealed before the next rollout
+            assert torch.equal(x, first[1]["weights"][name]), name
 
 
 def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together):

@@ -16,6 +16,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -89,12 +90,9 @@ def write_script(job, folder):
 @cache
 def digest(script, variant=""):
     """Of what Python executes: other comments or docstrings make no other digest."""
-    folder = RUNS / f"digest-{os.getpid()}-{script}-{variant}"
-    folder.mkdir(parents=True)
-    try:
-        tree = ast.parse(write_script(Job(script, variant=variant), folder).read_text("utf-8"))
-    finally:
-        shutil.rmtree(folder)
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_script(Job(script, variant=variant), Path(folder))
+        tree = ast.parse(path.read_text("utf-8"))
     for node in ast.walk(tree):
         kinds = ast.Module, ast.ClassDef, ast.FunctionDef
         if isinstance(node, kinds) and ast.get_docstring(node) is not None:
