@@ -8,7 +8,7 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, ten
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, all
 of ten agents earned a return of 209 to 267 in evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
@@ -187,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T, N). Only its gradient matters: it estimates −∇J (nearly).
+    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J, but without γ^t.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the parameters of π, and E a mean over the actions of π and the states s' that follow. Then

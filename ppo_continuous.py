@@ -32,7 +32,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 
 Rollouts, epochs and the loss are PPO [1], whose Roboschool experiments also anneal σ; GAE is [2].
 The rest are implementation details, many from [4]: annealing the learning rate, reward scaling,
-observation normalisation and clipping, standardising A, the KL limit and its lower learning rate,
+observation normalisation and clipping, standardising A, a KL limit that lowers the learning rate,
 orthogonal initialisation with a small last layer of π, tanh squashing, a smaller σ if K > 4.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,

@@ -155,7 +155,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Only its gradient matters: it estimates −∇J (nearly).
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, but without γ^t.
 
     J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
     the actor, and E a mean over actions of π and the environment's answers; given s and a, these
