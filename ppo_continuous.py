@@ -19,7 +19,7 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a half.
+  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a sixth.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), which estimate Q(s,a):
@@ -33,7 +33,7 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 Rollouts, epochs and the loss are PPO [1], whose Roboschool experiments also anneal σ; GAE is [2].
 The rest are implementation details, many from [4]: annealing the learning rate, reward scaling,
 observation normalisation and clipping, standardising A, a KL limit that lowers the learning rate,
-orthogonal initialisation with a small last layer of π, tanh squashing, a smaller σ if K > 4.
+orthogonal initialisation with a small last layer of π, and tanh squashing.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -84,8 +84,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
         means = self.actor(self.obs_stats.normalise(obs))
-        std = self.std * min(1, 4 / means.shape[-1]) ** 0.25  # less noise if K > 4 (by trial)
-        gaussians = torch.distributions.Normal(means, std, validate_args=False)
+        gaussians = torch.distributions.Normal(means, self.std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
@@ -355,8 +354,8 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="first sigma, up to 4 actions")
-    add("--last-std", type=number(float, 1e-4), default=0.3, help="last sigma, up to 4 actions")
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of the noise at first")
+    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of the noise at last")
     return parse_and_check(parser, argv)
 
 

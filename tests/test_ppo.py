@@ -4,7 +4,6 @@ import copy
 import math
 from types import SimpleNamespace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -132,14 +131,6 @@ def test_a_new_policy_acts_alike_in_all_states():
     _, _, agent = make(new=True)
     actions = agent.act(10 * torch.randn(100, 2), deterministic=True)
     assert 0 < np.abs(actions).max() < 0.05
-
-
-def test_there_is_less_noise_beyond_four_dimensions():
-    inputs = gym.spaces.Box(-1, 1, (3,))
-    for dimensions, expected in (1, 0.6), (4, 0.6), (64, 0.3):
-        agent = ppo.Agent(inputs, gym.spaces.Box(-1, 1, (dimensions,)), ppo.parse_args([]))
-        std = agent.policy(torch.zeros(3)).stddev
-        torch.testing.assert_close(std.data, torch.full((dimensions,), expected))
 
 
 def test_the_jacobian_of_tanh_cancels_in_the_ratio():

@@ -22,7 +22,6 @@ CHANGES = {  # its name: flags, or the patch of a variant
     "weights not orthogonal": "weights-not-orthogonal.patch",
     "σ learned": "noise-learned.patch",
     "σ not annealed": "--last-std 0.6",
-    "σ does not depend on K": "noise-the-same.patch",
     "actions clipped, no tanh": "no-tanh.patch",
     "time limits treated as deaths": "time-limits-as-deaths.patch",
     "value loss clipped, too": "value-loss-clipped.patch",
