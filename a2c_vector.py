@@ -90,8 +90,8 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
-        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
+        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
@@ -172,10 +172,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
-    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
-    stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
-    between cancel, and A_t is the discounted rewards up to where the sum ends, plus the discounted
-    V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t uses one reward, and the
+    critic stands for all others: little noise, but the critic's errors (bias). With λ = 1 all
+    values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus the
+    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -207,7 +207,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # The mean acts as a further baseline, the division sets the scale to 1.
+    # Subtracting the mean lowers the noise, as V did; the division sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)
@@ -235,7 +235,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
+    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
     actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
@@ -286,7 +286,7 @@ class RandomPhysics(gym.Wrapper):
 
 
 def parse_args(argv=None):
-    """The options. Most wrong ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -335,7 +335,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
     wrappers = [*wrappers,
                 lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]

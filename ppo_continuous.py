@@ -19,13 +19,13 @@ return to expect from s on; the action value Q(s,a) is the return to expect if a
 π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
-  1. Anneal linearly: the learning rate falls to 0, the standard deviation σ of π to a sixth.
+  1. Anneal linearly: the learning rate to 0; σ, the standard deviation of π, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), which estimate Q(s,a):
-     least squares moves V(s) towards their mean over the actions of π.
-  5. For several epochs, for each minibatch of shuffled transitions: if KL(π_old ‖ π), with the
-     policy π_old that played the rollout, exceeds max_kl, lower the learning rate and go to 6. If
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
+     mean over the actions of π is V(s): that is what least squares finds.
+  5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
+     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower the learning rate and go to 6. If
      not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -93,8 +93,8 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
-        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
+        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
@@ -175,11 +175,11 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
     Then the critic's targets vary alike whatever the unit of the rewards, and one learning rate can
-    serve all tasks. A return lies in the future; F, its stand-in, discounts past rewards:
+    serve all tasks. Future rewards are not known yet, so F discounts past ones instead:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    `past_return` (N,) is F where the previous rollout ended. Returns the rewards and the new F.
+    `past_return` (N,) is F after the previous rollout. Returns the rewards and the new F.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -202,10 +202,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
-    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t has one reward, and the critic
-    stands for all others: little noise, but the critic's errors (bias). With λ = 1 all values in
-    between cancel, and A_t is the discounted rewards up to where the sum ends, plus the discounted
-    V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t uses one reward, and the
+    critic stands for all others: little noise, but the critic's errors (bias). With λ = 1 all
+    values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus the
+    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -245,7 +245,7 @@ def approximate_kl(log_ratio):
     Adding ρ − 1 does not change the mean, as E_old[ρ] = ∫ π_old·(π/π_old) da = 1, but leaves no
     term negative and, where ρ is near 1, takes away most of the noise of the estimate.
     """
-    return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but exact near 0
+    return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
 
 def optimise(agent, optimizer, batch, args):
@@ -257,7 +257,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # The mean acts as a further baseline, the division sets the scale to 1.
+            # Subtracting the mean lowers the noise, as V did; the division sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -269,7 +269,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """For finding faults: of π after the update and V before it, when R − V = A (unscaled)."""
+    """To find faults: of π after the update, of V before it (so R − V = A); A not standardised."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -288,7 +288,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
+    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
@@ -328,7 +328,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
 
 
 def parse_args(argv=None):
-    """The options. Most wrong ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -355,7 +355,7 @@ def parse_args(argv=None):
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
     add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of the noise at first")
-    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of the noise at last")
+    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of the noise at the end")
     return parse_and_check(parser, argv)
 
 
@@ -377,7 +377,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
     envs = gym.make_vec(

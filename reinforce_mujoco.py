@@ -9,7 +9,7 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
-1, for at most 1000 steps. After 100,000 steps, half a minute, each agent earns all 1000 in
+1, for at most 1000 steps. After 100,000 steps (half a minute), each agent earns all 1000 in
 evaluation, where actions are not drawn from the policy π, but are its mean.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
@@ -94,8 +94,8 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), drawn from π or its mode; NumPy arrays."""
-        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # its type, device
+        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
@@ -174,10 +174,10 @@ def policy_loss(log_probs, advantages):
     left out, to give late steps the same weight as early ones; strictly, what remains is no longer
     the gradient of J. A mean instead of a sum hardly matters, as Adam adapts to the loss's scale.
 
-    A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫ ∇π da = b·∇1 = 0: it leaves
-    the mean of the estimate as it is. A good one takes away much of the noise. If all returns are
-    positive, then without a baseline every action that was tried is made more likely, bad ones only
-    less so; with V, those that turned out worse than expected are made less likely.
+    A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
+    it leaves the mean of the estimate as it is. A good one takes away much of the noise. If all
+    returns are positive, then without a baseline every action that was tried is made more likely,
+    bad ones only less so; with V, those that turned out worse than expected are made less likely.
 
     Three small biases remain. Both the baseline `mean` and the number of steps B, by which the sum
     over the batch is divided, depend on the actions, less and less the more episodes a batch has;
@@ -201,7 +201,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields at first and after each update: `env_step`, new rows of episodes and of metrics."""
+    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))
     env_step = 0
     yield env_step, [], []
@@ -220,7 +220,7 @@ def train(args, seed, envs, agent, optimizer):
 
 
 def parse_args(argv=None):
-    """The options. Most wrong ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
         description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
         formatter_class=argparse.ArgumentDefaultsHelpFormatter)
@@ -261,7 +261,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN raises ValueError."""
+    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.ClipAction]
     envs = gym.make_vec(

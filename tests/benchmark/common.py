@@ -89,7 +89,7 @@ def write_script(job, folder):
 
 @cache
 def digest(script, variant=""):
-    """Of what Python executes: other comments or docstrings make no other digest."""
+    """Of what Python executes: other comments, docstrings or help texts make no other digest."""
     with tempfile.TemporaryDirectory() as folder:
         path = write_script(Job(script, variant=variant), Path(folder))
         tree = ast.parse(path.read_text("utf-8"))
@@ -97,6 +97,8 @@ def digest(script, variant=""):
         kinds = ast.Module, ast.ClassDef, ast.FunctionDef
         if isinstance(node, kinds) and ast.get_docstring(node) is not None:
             node.body = node.body[1:] or [ast.Pass()]
+        if isinstance(node, ast.Call):
+            node.keywords = [x for x in node.keywords if x.arg != "help"]
     return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:12]
 
 
