@@ -8,8 +8,8 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, all
-of ten agents earned a return of 209 to 267 in evaluation; 200 counts as solved.
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, ten
+of ten agents had returns of 209 to 267 in evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -22,8 +22,8 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), which estimate Q(s,a):
-     least squares moves V(s) towards their mean over the actions of π.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
+     mean over the actions of π is V(s): that is what least squares finds.
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
@@ -31,10 +31,10 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
 REINFORCE weights log π by the rewards of whole episodes. New here is bootstrapping: the critic's
 estimate replaces the rewards still to come, so the agent learns before an episode ends. In A3C [1]
 workers update shared weights without waiting for each other; A2C waits for all environments. GAE
-[2], whose λ sets how far the critic is trusted, replaces A3C's sum of a fixed number of rewards.
-The rest are implementation details: observation normalisation and clipping, reward scaling,
-standardised advantages, an entropy bonus (against settling on one action too early), gradient
-clipping, orthogonal initialisation with a small last layer of π, Adam's eps.
+[2], whose λ sets how far the critic is trusted, replaces A3C's sum of rewards to the rollout's end.
+The rest are implementation details: annealing, observation normalisation and clipping, reward
+scaling, standardised advantages, an entropy bonus (against settling on one action too early),
+gradient clipping, orthogonal initialisation with a small last layer of π, Adam's eps.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda, c
     entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -140,7 +140,7 @@ def rollout(envs, agent, obs, args, env_step):
 
     Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
     each episode that ended. The environments do not reset themselves, so `next_obs` is always what
-    followed the action, also at the end of an episode. `env_step` steps were taken before.
+    followed the action, even at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -171,11 +171,11 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
-    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t uses one reward, and the
-    critic stands for all others: little noise, but the critic's errors (bias). With λ = 1 all
-    values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus the
-    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
+    right on average for every λ. As V is an estimate, λ trades bias for variance. λ = 0 leaves δ_t,
+    in which the critic stands for all rewards but one: little noise, but the critic's errors (bias).
+    With λ = 1 all values in between cancel, and A_t is the discounted rewards up to where the sum
+    ends, plus the discounted V there, minus V(s_t): less bias, but all their luck (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -187,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T, N). Its gradient estimates −∇J, but without γ^t.
+    """−mean(A·log π); log π, A are (T, N). The gradient of this loss estimates −∇J without γ^t.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
@@ -226,7 +226,7 @@ def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
 
 
 def make_optimizer(agent):
-    """Adam with two groups of weights, whose learning rates `train` sets: the actor, the critic.
+    """Adam with two groups of weights, actor and critic; `train` sets their learning rates.
 
     An eps of 1e-5, not the usual 1e-8, shortens steps along gradients of about 1e-5 or less.
     """

@@ -152,7 +152,7 @@ def rollout(envs, agent, obs, args, env_step):
 
     Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
     each episode that ended. The environments do not reset themselves, so `next_obs` is always what
-    followed the action, also at the end of an episode. `env_step` steps were taken before.
+    followed the action, even at the end of an episode. `env_step` steps were taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -201,11 +201,11 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value of π, δ_t has the mean A(s_t,a_t), and every later δ has the mean 0. As V
-    is an estimate, λ trades bias for variance. With λ = 0, A_t = δ_t uses one reward, and the
-    critic stands for all others: little noise, but the critic's errors (bias). With λ = 1 all
-    values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus the
-    discounted V there, minus V(s_t): less bias, but the luck of every later step (variance).
+    If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
+    right on average for every λ. As V is an estimate, λ trades bias for variance. λ = 0 leaves δ_t,
+    in which the critic stands for all rewards but one: little noise, but the critic's errors (bias).
+    With λ = 1 all values in between cancel, and A_t is the discounted rewards up to where the sum
+    ends, plus the discounted V there, minus V(s_t): less bias, but all their luck (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
