@@ -173,7 +173,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
     right on average for every λ. As V is an estimate, λ trades bias for variance. λ = 0 leaves δ_t,
-    in which the critic stands for all rewards but one: little noise, but the critic's errors (bias).
+    in which the critic stands for all rewards but one: little noise, but its errors (bias).
     With λ = 1 all values in between cancel, and A_t is the discounted rewards up to where the sum
     ends, plus the discounted V there, minus V(s_t): less bias, but all their luck (variance).
     """
