@@ -172,10 +172,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
-    right on average for every λ. As V is an estimate, λ trades bias for variance. λ = 0 leaves δ_t,
-    in which the critic stands for all rewards but one: little noise, but its errors (bias).
-    With λ = 1 all values in between cancel, and A_t is the discounted rewards up to where the sum
-    ends, plus the discounted V there, minus V(s_t): less bias, but all their luck (variance).
+    right on average for every λ. As V is an estimate, λ trades bias for variance. With λ = 0, A_t
+    is δ_t: one reward, and V for all others. Little noise, but the errors of V (bias). With λ = 1
+    all values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus
+    the discounted V there, minus V(s_t): less bias, but the luck of each later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -207,7 +207,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Subtracting the mean lowers the noise, as V did; the division sets the scale to 1.
+    # As with V, subtracting the mean is to lower the noise; dividing sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     errors = batch.targets - agent.value(batch.obs)
@@ -335,7 +335,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
     wrappers = [*wrappers,
                 lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]

@@ -202,10 +202,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
-    right on average for every λ. As V is an estimate, λ trades bias for variance. λ = 0 leaves δ_t,
-    in which the critic stands for all rewards but one: little noise, but its errors (bias).
-    With λ = 1 all values in between cancel, and A_t is the discounted rewards up to where the sum
-    ends, plus the discounted V there, minus V(s_t): less bias, but all their luck (variance).
+    right on average for every λ. As V is an estimate, λ trades bias for variance. With λ = 0, A_t
+    is δ_t: one reward, and V for all others. Little noise, but the errors of V (bias). With λ = 1
+    all values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus
+    the discounted V there, minus V(s_t): less bias, but the luck of each later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -257,7 +257,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # Subtracting the mean lowers the noise, as V did; the division sets the scale to 1.
+            # As with V, subtracting the mean is to lower the noise; dividing sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -354,8 +354,8 @@ def parse_args(argv=None):
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
     add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of the noise at first")
-    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of the noise at the end")
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of actions at the start")
+    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of actions at the end")
     return parse_and_check(parser, argv)
 
 
@@ -377,7 +377,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.RecordEpisodeStatistics]
     envs = gym.make_vec(

@@ -9,7 +9,7 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
-1, for at most 1000 steps. After 100,000 steps (half a minute), each agent earns all 1000 in
+1, for at most 1000 steps. After 100,000 steps, within a minute, each agent earns all 1000 in
 evaluation, where actions are not drawn from the policy π, but are its mean.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
@@ -261,7 +261,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a time limit they get 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
     wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
                 gym.wrappers.ClipAction]
     envs = gym.make_vec(
