@@ -28,17 +28,16 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
-REINFORCE weights log π by the rewards of whole episodes. New here is bootstrapping: the critic's
-estimate replaces the rewards still to come, so the agent learns before an episode ends. In A3C [1]
-workers update shared weights without waiting for each other; A2C waits for all environments. GAE
-[2], whose λ sets how far the critic is trusted, replaces A3C's sum of rewards to the rollout's end.
+New compared with REINFORCE is bootstrapping: the critic's estimate replaces the rewards to come, so
+the agent learns before an episode ends. In A3C [1] workers update shared weights without waiting
+for each other; A2C waits for all environments. GAE [2] replaces A3C's plain sums of rewards.
 The rest are implementation details: annealing, observation normalisation and clipping, reward
-scaling, standardised advantages, an entropy bonus (against settling on one action too early),
-gradient clipping, orthogonal initialisation with a small last layer of π, Adam's eps.
+scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
+gradient clipping, Adam's eps, an entropy bonus (against settling on one action too early).
 
-Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda, c
-    entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
-An episode is `terminated` if it ended for good (a landing), `truncated` if only time ran out,
+Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
+    c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
+An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -70,17 +69,18 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s), the critic V(s), and the statistics that normalise s."""
+    """The actor π(a|s), the critic V(s), and running statistics."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], int(action_space.n)
         self.obs_stats = RunningStatistics(inputs)
-        self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # nearly uniform π
+        # At first π hardly depends on s.
+        self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution of actions (…,)."""
+        """Observations (…, D) -> π(·|s), a distribution of actions."""
         logits = self.actor(self.obs_stats.normalise(obs))
         return torch.distributions.Categorical(logits=logits, validate_args=False)
 
@@ -124,7 +124,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers of ReLU units, a linear output layer; orthogonal weights, zero biases."""
+    """Two hidden layers, a linear output layer; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -187,63 +187,59 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T, N). The gradient of this loss estimates −∇J without γ^t.
+    """−mean(A·log π); log π, A are (T·N,). The gradient of this loss estimates −∇J without γ^t.
 
     J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
     the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇Σ_a π = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = 0, as π sums to 1
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    As usual, γ^t is left out, so that late steps count as much as early ones. V(s), subtracted from
-    Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it is, and usually takes
-    away much of its noise. The actions must be drawn from the current π, so a rollout serves for
-    one update.
+    As usual, γ^t is left out, so that late steps count as much as early ones.
+
+    V(s), subtracted from Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it
+    is, and usually takes away much of its noise. The actions must be drawn from the current π, so a
+    rollout serves for one update.
     """
     return -(advantages * log_probs).mean()
 
 
-def optimise(agent, optimizer, batch, entropy_coef, max_grad_norm):
+def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # As with V, subtracting the mean is to lower the noise; dividing sets the scale to 1.
+    # Subtracting the mean lowers the noise, as V does; dividing sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
-    errors = batch.targets - agent.value(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
-    loss_v = (errors**2).mean() / 2
+    loss_v = ((agent.value(batch.obs) - batch.targets) ** 2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
     for network in agent.actor, agent.critic:  # so that a large gradient of one slows only that one
-        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
+        nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
                # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
-               "explained_variance": 1 - errors.var() / batch.targets.var()}
+               "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
 
 def make_optimizer(agent):
-    """Adam with two groups of weights, actor and critic; `train` sets their learning rates.
-
-    An eps of 1e-5, not the usual 1e-8, shortens steps along gradients of about 1e-5 or less.
-    """
+    """Adam for actor and critic; `train` sets how fast they learn."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # fused is faster
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # smaller steps if gradients are < 1e-5
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
     """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
-    actor, critic = optimizer.param_groups
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rates and the entropy bonus.
+        # Step 1: anneal.
         remaining = 1 - env_step / args.total_steps
-        actor["lr"] = remaining * args.learning_rate
-        critic["lr"] = remaining * args.critic_learning_rate
+        optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
+        optimizer.param_groups[1]["lr"] = remaining * args.critic_learning_rate
         entropy_coef = remaining * args.entropy_coef
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
@@ -256,21 +252,16 @@ def train(args, seed, envs, agent, optimizer, env_step):
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
         # Step 5: update actor and critic.
-        metrics = optimise(agent, optimizer, batch, entropy_coef, args.max_grad_norm)
+        batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
+        metrics = optimise(agent, optimizer, batch, args, entropy_coef)
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
-        agent.obs_stats.update(batch.obs.flatten(0, 1))
-        env_step += batch.rewards.numel()  # T·N
+        agent.obs_stats.update(batch.obs)
+        env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]
 
 
-# --- Domain randomization -------------------------------------------------------------------------
-
-
 class RandomPhysics(gym.Wrapper):
-    """LunarLander with new gravity in every episode, and wind and turbulence in half of them [4].
-
-    For training only. The observation shows none of these, so π has to land without knowing them.
-    """
+    """For training on LunarLander: each episode has its own gravity and wind, unseen by π [4]."""
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
@@ -288,9 +279,8 @@ class RandomPhysics(gym.Wrapper):
 def parse_args(argv=None):
     """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    add = parser.add_argument_group("run").add_argument
+        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
     add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
@@ -299,12 +289,10 @@ def parse_args(argv=None):
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
-    add = parser.add_argument_group("environment").add_argument
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="LunarLander: new physics in every episode")
-    add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=64, help="steps in each environment")
     add("--reward-scale", type=number(float, 0), default=0.1, help="factor of all rewards")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
@@ -313,7 +301,7 @@ def parse_args(argv=None):
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
     add("--entropy-coef", type=number(float, 0), default=0.01, help="entropy bonus, at first")
     add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
-    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
+    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
     return parse_and_check(parser, argv)
 
 
@@ -336,11 +324,9 @@ def number(kind, low, high=1e12):
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
     """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
-    wrappers = [*wrappers,
-                lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
-                gym.wrappers.RecordEpisodeStatistics]
-    envs = gym.make_vec(
-        env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
+    envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
+        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+        gym.wrappers.RecordEpisodeStatistics, *wrappers], **kwargs)
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
     return gym.wrappers.vector.TransformObservation(envs, check_finite)
@@ -394,16 +380,15 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    tables = {"evals": [], "episodes": [], "metrics": []}
-    first_step, seconds = 0, 0.0
+    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
         agent.load_state_dict(checkpoint["agent"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
-        last = tables["evals"].pop()  # the loop below begins by making it again
-        first_step, seconds = last["env_step"], last["seconds"]
-        torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
+        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
+    last = tables["evals"].pop()  # the loop below begins by evaluating there
+    first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
@@ -418,9 +403,8 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder, {
-                    "args": {**vars(args), "seed": [seed]}, "tables": tables,
-                    "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+                save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
+                              "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if parent and not parent.is_alive():
                 return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
@@ -439,10 +423,7 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
-    tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
-    if not tables:
-        return
-    data = pd.concat(tables, ignore_index=True)
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
@@ -466,11 +447,10 @@ def parse_and_check(parser, argv):
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:
-            saved = torch.load(path, "cpu", weights_only=True)["args"]
-            parser.set_defaults(**saved | {"device": "cpu"})
+            saved = torch.load(path, "cpu", weights_only=True)["args"] | {"device": "cpu"}
+            args = parser.parse_args(argv, argparse.Namespace(**saved))
         except Exception as error:
             parser.error(f"argument CHECKPOINT {path}: {error!r}")
-        args = parser.parse_args(argv)
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError, ValueError) as error:
@@ -504,7 +484,8 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        report(folder, args.env_id)
+        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+            report(folder, args.env_id)
 
 
 if __name__ == "__main__":

@@ -31,9 +31,9 @@ is than what π does on average. Actions with A > 0 are made more likely, those 
   6. Update the running mean and standard deviation that normalise observations. Go to 1.
 
 Rollouts, epochs and the loss are PPO [1], whose Roboschool experiments also anneal σ; GAE is [2].
-The rest are implementation details, many from [4]: annealing the learning rate, reward scaling,
-observation normalisation and clipping, standardising A, a KL limit that lowers the learning rate,
-orthogonal initialisation with a small last layer of π, and tanh squashing.
+The rest are implementation details: annealing, observation normalisation and clipping, reward
+scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
+tanh squashing, and a KL limit that lowers the learning rate. Many of them are described in [4].
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -70,21 +70,22 @@ from tqdm import tqdm
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ), the critic V(s), and statistics of s and of returns."""
+    """The actor π(a|s), the critic V(s), and running statistics."""
 
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
         self.obs_stats = RunningStatistics(inputs)
-        self.return_stats = RunningStatistics(())  # for `scale_rewards`, and saved with the rest
-        self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)  # μ(s) ≈ 0 at first
+        # At first π hardly depends on s.
+        self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
+        self.return_stats = RunningStatistics(())  # for `scale_rewards`, and saved with the rest
         self.register_buffer("std", torch.tensor(args.first_std))  # not learned: `train` anneals it
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
-        means = self.actor(self.obs_stats.normalise(obs))
-        gaussians = torch.distributions.Normal(means, self.std, validate_args=False)
+        """Observations (…, D) -> π(·|s), a distribution of actions."""
+        mean = self.actor(self.obs_stats.normalise(obs))
+        gaussians = torch.distributions.Normal(mean, self.std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
 
     def value(self, obs):
@@ -100,11 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> (N, K) within the bounds of the environment's action space.
-
-    The environment applies it (see `make_envs`), so π is the density of the unbounded actions, and
-    log π needs no term for tanh.
-    """
+    """Unbounded actions (N, K) -> within bounds; log π, of the former, needs no term for tanh."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -136,7 +133,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers of tanh units, a linear output layer; orthogonal weights, zero biases."""
+    """Two hidden layers, a linear output layer; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -174,12 +171,10 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    Then the critic's targets vary alike whatever the unit of the rewards, and one learning rate can
-    serve all tasks. Future rewards are not known yet, so F discounts past ones instead:
+    Then one learning rate can serve all tasks, whatever the unit of their rewards. Future rewards
+    are not known yet, so F discounts past ones; `past_return` (N,) is F before, then after these T:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
-
-    `past_return` (N,) is F after the previous rollout. Returns the rewards and the new F.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -224,16 +219,17 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∇∫ π da = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = 0, as π sums to 1
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor
-    and γ^t, left out so that late steps weigh as much as early ones. Further away it is less exact,
-    as states and advantages remain those of π_old; so the clip takes away the incentive to go far:
-    once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has no gradient. Where ρ has gone
-    the wrong way, min selects the unclipped term, which leads back. Other samples may still push ρ
-    further out; that is what max_kl is for.
+    As usual, γ^t is left out, so that late steps count as much as early ones.
+
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor.
+    Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
+    away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
+    no gradient. Where ρ has gone the wrong way, min selects the unclipped term, which leads back.
+    Other samples may still push ρ further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -257,7 +253,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # far enough; the steps so far stay
             A = batch.advantages[rows]
-            # As with V, subtracting the mean is to lower the noise; dividing sets the scale to 1.
+            # Subtracting the mean lowers the noise, as V does; dividing sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -269,7 +265,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """To find faults: of π after the update, of V before it (so R − V = A); A not standardised."""
+    """Diagnostics over the whole rollout: of π after the update, of V before it, when R − V = A."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -283,7 +279,7 @@ def diagnose(agent, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam for both networks; `train` sets its learning rate."""
+    """Adam for actor and critic; `train` sets how fast they learn."""
     return torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
 
 
@@ -293,7 +289,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rate and σ.
+        # Step 1: anneal.
         remaining = 1 - env_step / args.total_steps
         learning_rate = pace * remaining * args.learning_rate
         optimizer.param_groups[0]["lr"] = learning_rate
@@ -303,7 +299,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 3: scale the rewards.
         batch.rewards, past_return = scale_rewards(
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
-        # Step 4: estimate advantages and targets; like log π_old, they are constants in the losses.
+        # Step 4: estimate advantages and targets, which are constants in the losses.
         with torch.no_grad():
             batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)
             values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -313,15 +309,13 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # `pace` lowers the learning rate until most updates finish: many small steps average out
-        # more noise than a few large ones that reach the KL limit.
+        # Many small steps average out more noise than a few large ones that reach the KL limit.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
-        metrics = diagnose(agent, batch, args)
+        metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
         # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
-        metrics = {"env_step": env_step, "learning_rate": learning_rate, **metrics}
-        yield env_step, episodes, [metrics]
+        yield env_step, episodes, [{"env_step": env_step, **metrics}]
 
 
 # --- Options --------------------------------------------------------------------------------------
@@ -330,9 +324,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
 def parse_args(argv=None):
     """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    add = parser.add_argument_group("run").add_argument
+        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
     add("--total-steps", type=number(int, 1), default=150_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
@@ -341,10 +334,8 @@ def parse_args(argv=None):
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
-    add = parser.add_argument_group("environment").add_argument
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
-    add = parser.add_argument_group("algorithm").add_argument
     add("--rollout-steps", type=number(int, 1), default=128, help="steps in each environment")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch")
@@ -353,7 +344,7 @@ def parse_args(argv=None):
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
-    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
+    add("--hidden-size", type=number(int, 1), default=128, help="units of each hidden layer")
     add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of actions at the start")
     add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of actions at the end")
     return parse_and_check(parser, argv)
@@ -378,10 +369,9 @@ def number(kind, low, high=1e12):
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
     """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
-    wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
-                gym.wrappers.RecordEpisodeStatistics]
-    envs = gym.make_vec(
-        env_id, count, "sync", {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
+    envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
+        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+        gym.wrappers.RecordEpisodeStatistics], **kwargs)
     envs = gym.wrappers.vector.TransformAction(envs, partial(squash, space=envs.action_space))
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
@@ -435,16 +425,15 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    tables = {"evals": [], "episodes": [], "metrics": []}
-    first_step, seconds = 0, 0.0
+    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
         agent.load_state_dict(checkpoint["agent"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
-        last = tables["evals"].pop()  # the loop below begins by making it again
-        first_step, seconds = last["env_step"], last["seconds"]
-        torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
+        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
+    last = tables["evals"].pop()  # the loop below begins by evaluating there
+    first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
@@ -459,9 +448,8 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder, {
-                    "args": {**vars(args), "seed": [seed]}, "tables": tables,
-                    "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+                save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
+                              "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if parent and not parent.is_alive():
                 return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
@@ -480,10 +468,7 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
-    tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
-    if not tables:
-        return
-    data = pd.concat(tables, ignore_index=True)
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
@@ -507,18 +492,17 @@ def parse_and_check(parser, argv):
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:
-            saved = torch.load(path, "cpu", weights_only=True)["args"]
-            parser.set_defaults(**saved | {"device": "cpu"})
+            saved = torch.load(path, "cpu", weights_only=True)["args"] | {"device": "cpu"}
+            args = parser.parse_args(argv, argparse.Namespace(**saved))
         except Exception as error:
             parser.error(f"argument CHECKPOINT {path}: {error!r}")
-        args = parser.parse_args(argv)
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError, ValueError) as error:
         parser.error(f"argument --env-id: {error!r}")
-    spaces = env.observation_space, env.action_space
-    fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
-    if not fits or not env.action_space.is_bounded() or env.action_space.dtype.kind != "f":
+    observations, actions = env.observation_space, env.action_space
+    fits = all(isinstance(x, gym.spaces.Box) and len(x.shape) == 1 for x in (observations, actions))
+    if not fits or not actions.is_bounded() or actions.dtype.kind != "f":
         parser.error("argument --env-id: takes flat Box observations, bounded Box actions")
     return args
 
@@ -541,7 +525,8 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        report(folder, args.env_id)
+        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+            report(folder, args.env_id)
 
 
 if __name__ == "__main__":

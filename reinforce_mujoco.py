@@ -75,7 +75,7 @@ class Agent(nn.Module):
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        # At first μ and σ hardly depend on s.
+        # At first π hardly depends on s.
         self.actor = mlp(inputs, args.hidden_size, 2 * outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
 
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers of tanh units, a linear output layer; orthogonal weights, zero biases."""
+    """Two hidden layers, a linear output layer; orthogonal weights, zero biases."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
         nn.init.orthogonal_(layer.weight, gain)
@@ -140,8 +140,7 @@ def rollout(envs, agent, args, env_step):
 
 def discounted_returns(rewards, last_value, gamma):
     """Step 3: G_t = r_t + γ·G_{t+1}, with G_T = `last_value`; lists of T numbers."""
-    returns = []
-    G = last_value
+    returns, G = [], last_value
     for reward in reversed(rewards):
         G = reward + gamma * G
         returns.append(G)
@@ -222,9 +221,8 @@ def train(args, seed, envs, agent, optimizer):
 def parse_args(argv=None):
     """The options. Most invalid ones end the program with a line that names them."""
     parser = argparse.ArgumentParser(
-        description=__doc__.partition("\n")[0], usage=argparse.SUPPRESS,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter)
-    add = parser.add_argument_group("run").add_argument
+        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
     add("--total-steps", type=number(int, 1), default=100_000, help="environment steps in all")
     add("--out-dir", default="runs", help="where the new folder of this run is made")
@@ -232,14 +230,12 @@ def parse_args(argv=None):
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
-    add = parser.add_argument_group("environment").add_argument
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
-    add = parser.add_argument_group("algorithm").add_argument
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes in a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
     add("--learning-rate", type=number(float, 0), default=3e-3, help="of actor and critic")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
-    add("--hidden-size", type=number(int, 1), default=64, help="units in each of two hidden layers")
+    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
     return parse_and_check(parser, argv)
 
 
@@ -262,10 +258,9 @@ def number(kind, low, high=1e12):
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
     """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
-    wrappers = [lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
-                gym.wrappers.ClipAction]
-    envs = gym.make_vec(
-        env_id, count, "sync", {"autoreset_mode": autoreset_mode}, wrappers, **kwargs)
+    envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
+        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+        gym.wrappers.ClipAction], **kwargs)
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
     return gym.wrappers.vector.TransformObservation(envs, check_finite)
@@ -334,9 +329,8 @@ def run(index, args, folder):
                 result = evaluate(agent, eval_envs, seed)
                 tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder, {
-                    "args": {**vars(args), "seed": [seed]}, "tables": tables,
-                    "agent": agent.state_dict()})
+                save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
+                              "agent": agent.state_dict()})
             if parent and not parent.is_alive():
                 return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
@@ -355,10 +349,7 @@ def save(folder, checkpoint):
 def report(folder, env_id):
     """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
     files = sorted(folder.glob("seed-*/*.csv"))
-    tables = [pd.read_csv(file).assign(seed=file.parent.name) for file in files]
-    if not tables:
-        return
-    data = pd.concat(tables, ignore_index=True)
+    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
     width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
@@ -382,10 +373,9 @@ def parse_and_check(parser, argv):
     if path := args.watch:
         try:
             saved = torch.load(path, "cpu", weights_only=True)["args"]
-            parser.set_defaults(**saved)
+            args = parser.parse_args(argv, argparse.Namespace(**saved))
         except Exception as error:
             parser.error(f"argument CHECKPOINT {path}: {error!r}")
-        args = parser.parse_args(argv)
     try:
         env = gym.make(args.env_id)
     except (gym.error.Error, ImportError, ValueError) as error:
@@ -415,7 +405,8 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        report(folder, args.env_id)
+        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+            report(folder, args.env_id)
 
 
 if __name__ == "__main__":

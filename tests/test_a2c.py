@@ -190,9 +190,9 @@ def test_learning_rates_and_entropy_bonus_fall_in_a_straight_line(first_step, mo
         "--learning-rate 2e-3 --critic-learning-rate 4e-3 --entropy-coef 0.5 --total-steps 390")
     seen, optimise = [], a2c.optimise
 
-    def spy(agent, optimizer, batch, entropy_coef, *rest):
+    def spy(agent, optimizer, batch, args, entropy_coef):
         seen.append((*(group["lr"] for group in optimizer.param_groups), entropy_coef))
-        return optimise(agent, optimizer, batch, entropy_coef, *rest)
+        return optimise(agent, optimizer, batch, args, entropy_coef)
 
     monkeypatch.setattr(a2c, "optimise", spy)
     optimizer = a2c.make_optimizer(agent)

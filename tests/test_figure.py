@@ -1,5 +1,6 @@
 """learning_curve.png: what it shows of the tables, and of which runs."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -106,7 +107,13 @@ def test_a_run_without_a_finished_episode_is_drawn_as_far_as_it_went(script, dra
     assert set(curves(panels["return_mean"])) == {"evaluation: deterministic actions"}
 
 
-def test_nothing_is_drawn_before_anything_is_saved(script, tmp_path, capsys):
-    script.module.report(tmp_path, script.env_id)
+def test_nothing_is_drawn_before_anything_is_saved(script, tmp_path, monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(script.module, "run", interrupted)
+    monkeypatch.setattr(sys, "argv", [script.file, "--out-dir", str(tmp_path)])
+    with pytest.raises(SystemExit, match="130"):
+        script.module.main()
     assert capsys.readouterr().out == ""
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.glob("*/*")] == ["args.json"]
