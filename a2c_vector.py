@@ -8,41 +8,41 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, ten
-of ten agents had returns of 209 to 267 in evaluation; 200 counts as solved.
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
+ten agents that we trained had mean returns of 209 to 267 in evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The goal is a large expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
-return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
-π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
+expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
+followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
   1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
-     mean over the actions of π is V(s): that is what least squares finds.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a);
+     least squares finds its mean over the actions of π, which is V(s).
   5. Standardise A over the rollout, and take a step of Adam on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
-  6. Update the running mean and standard deviation that normalise observations. Go to 1.
+  6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-New compared with REINFORCE is bootstrapping: the critic's estimate replaces the rewards to come, so
-the agent learns before an episode ends. In A3C [1] workers update shared weights without waiting
-for each other; A2C waits for all environments. GAE [2] replaces A3C's plain sums of rewards.
+REINFORCE needs the returns of whole episodes. A2C bootstraps: the critic's estimate stands for the
+rewards to come, so it learns before an episode ends. In A3C [1] workers update shared weights
+without waiting for each other; A2C waits for all environments. GAE [2] replaces A3C's advantages.
 The rest are implementation details: annealing, observation normalisation and clipping, reward
 scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
-gradient clipping, Adam's eps, an entropy bonus (against settling on one action too early).
+gradient clipping, Adam's eps, and A3C's entropy bonus (against settling on one action too early).
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
-An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
+An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning.
-[4] Tobin et al. 2017, Domain Randomization for Transferring Deep Neural Networks from Simulation.
+[4] Peng et al. 2018, Sim-to-Real Transfer of Robotic Control with Dynamics Randomization.
 """
 
 import argparse
@@ -75,12 +75,12 @@ class Agent(nn.Module):
         super().__init__()
         inputs, outputs = observation_space.shape[0], int(action_space.n)
         self.obs_stats = RunningStatistics(inputs)
-        # At first π hardly depends on s.
+        # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution of actions."""
+        """Observations (…, D) -> π(·|s), a distribution over actions."""
         logits = self.actor(self.obs_stats.normalise(obs))
         return torch.distributions.Categorical(logits=logits, validate_args=False)
 
@@ -90,7 +90,7 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
+        """Merge in new `rows` (B, …); w = B / (number of all rows, including these):
 
         var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
         mean ← (1−w)·mean + w·mean_new
@@ -118,7 +118,7 @@ class RunningStatistics(nn.Module):
         self.count += len(rows)
         weight = len(rows) / self.count
         between = (1 - weight) * (rows.mean(0) - self.mean) ** 2
-        # A dimension that has never changed has variance 0; the floor avoids dividing by it.
+        # A dimension that has never changed has variance 0; the floor avoids dividing by 0.
         self.var.lerp_(rows.var(0, correction=0) + between, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
@@ -166,16 +166,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends where A_{t+1} belongs to another episode or is not known:
+    The sum ends with δ_t where A_{t+1} belongs to another episode or is unknown. In that δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
-    right on average for every λ. As V is an estimate, λ trades bias for variance. With λ = 0, A_t
-    is δ_t: one reward, and V for all others. Little noise, but the errors of V (bias). With λ = 1
-    all values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus
-    the discounted V there, minus V(s_t): less bias, but the luck of each later step (variance).
+    If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
+    on average for every λ. As V is an estimate, λ balances bias against variance. λ = 0: A_t = δ_t,
+    one reward, and V for all others; little noise, but the errors of V (bias). λ = 1: all values in
+    between cancel, and A_t is the discounted sum of rewards up to where the sum ends, plus the
+    discounted V there, minus V(s_t); less bias, but the luck of each later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -187,28 +187,29 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π, A are (T·N,). The gradient of this loss estimates −∇J without γ^t.
+    """−mean(A·log π); log π and A are (T·N,). The gradient estimates −∇J, up to scale and γ^t.
 
-    J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
-    the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
+    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
+    parameters of π; E is a mean over actions of π and what follows them, r and the next state s',
+    which depend on these parameters only through the actions. The goal is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = 0, as π sums to 1
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    As usual, γ^t is left out, so that late steps count as much as early ones.
-
     V(s), subtracted from Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it
-    is, and usually takes away much of its noise. The actions must be drawn from the current π, so a
-    rollout serves for one update.
+    is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
+    as much as early ones; strictly, what remains is not ∇J.
+
+    The actions must be drawn from the current π, so a rollout is used only once.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Subtracting the mean lowers the noise, as V does; dividing sets the scale to 1.
+    # Like V, the mean is a baseline that lowers the noise; dividing sets the scale to 1.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
@@ -232,7 +233,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
+    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -254,7 +255,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         metrics = optimise(agent, optimizer, batch, args, entropy_coef)
-        # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
+        # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]
@@ -277,36 +278,36 @@ class RandomPhysics(gym.Wrapper):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a one-line error that names them."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps in all")
-    add("--out-dir", default="runs", help="where the new folder of this run is made")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps per agent")
+    add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="go on, in a new folder")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
-    add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
-    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
-    add("--randomize", action="store_true", help="LunarLander: new physics in every episode")
-    add("--rollout-steps", type=number(int, 1), default=64, help="steps in each environment")
-    add("--reward-scale", type=number(float, 0), default=0.1, help="factor of all rewards")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
+    add("--randomize", action="store_true", help="LunarLander: train in changing physics")
+    add("--rollout-steps", type=number(int, 1), default=64, help="steps per environment")
+    add("--reward-scale", type=number(float, 0), default=0.1, help="factor of rewards in training")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
     add("--entropy-coef", type=number(float, 0), default=0.01, help="entropy bonus, at first")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="larger ones are scaled down")
-    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
+    add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
+    """An argparse type: an int or float in [low, high]; 1e6 counts as an int."""
 
     def option(text):
         value = float(text)
@@ -323,7 +324,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
+    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.RecordEpisodeStatistics, *wrappers], **kwargs)
@@ -333,8 +334,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
-    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
+    evaluations, 2 + k for a training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -344,7 +345,7 @@ def evaluate(agent, envs, seed):
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # an environment that has finished runs on, but no longer counts
+    while playing.any():  # those that have finished run on, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -354,7 +355,7 @@ def evaluate(agent, envs, seed):
 
 
 def watch(args):
-    """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
+    """Evaluate a checkpoint; beside it, save a GIF of the first episode if it can be drawn."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
@@ -369,7 +370,7 @@ def watch(args):
 
 
 def run(index, args, folder):
-    """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
+    """Train the agent of one seed; save its tables and a checkpoint at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
     folder = folder / f"seed-{seed}"
@@ -387,10 +388,10 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()  # the loop below begins by evaluating there
+    last = tables["evals"].pop()  # the loop begins by evaluating there anew
     first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
+    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -411,7 +412,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write the new files before they replace the old ones: none is ever half-written."""
+    """Write new files, then replace the old ones: none of these is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -421,7 +422,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
+    """Print the result of each seed; draw learning_curve.png: mean and range over seeds."""
     files = sorted(folder.glob("seed-*/*.csv"))
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
@@ -443,7 +444,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options that are not given are the checkpoint's (not its device) or the defaults."""
+    """Options and task. Options not given: the checkpoint's (not its device) or the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:
@@ -484,7 +485,7 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+        if any(folder.glob("seed-*/*.csv")):  # none if it ended before the first evaluation
             report(folder, args.env_id)
 
 

@@ -9,36 +9,36 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, each scores about 9,328 in evaluation, of at most 9,360.
+a minute, four of our five agents score at least 9,327 of 9,360 in evaluation; one still falls.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
-episode ends. The goal is a large expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
+episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
-return to expect from s on; the action value Q(s,a) is the return to expect if a is taken first and
-π followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
+expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
+followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
 is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
 
   1. Anneal linearly: the learning rate to 0; σ, the standard deviation of π, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
-     mean over the actions of π is V(s): that is what least squares finds.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a);
+     least squares finds its mean over the actions of π, which is V(s).
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
      shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower the learning rate and go to 6. If
      not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step of Adam on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
-  6. Update the running mean and standard deviation that normalise observations. Go to 1.
+  6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-Rollouts, epochs and the loss are PPO [1], whose Roboschool experiments also anneal σ; GAE is [2].
+From PPO [1]: rollouts, epochs, the loss, an annealed σ, a learning rate that adapts to the KL.
 The rest are implementation details: annealing, observation normalisation and clipping, reward
 scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
-tanh squashing, and a KL limit that lowers the learning rate. Many of them are described in [4].
+tanh squashing, and a KL limit that ends an update. Many of them are described in [4], GAE in [2].
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
 Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observation, K in an action.
-An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if only time ran out,
+An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -76,14 +76,14 @@ class Agent(nn.Module):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
         self.obs_stats = RunningStatistics(inputs)
-        # At first π hardly depends on s.
+        # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
         self.return_stats = RunningStatistics(())  # for `scale_rewards`, and saved with the rest
-        self.register_buffer("std", torch.tensor(args.first_std))  # not learned: `train` anneals it
+        self.register_buffer("std", torch.tensor(args.first_std))  # the same for all s; annealed
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution of actions."""
+        """Observations (…, D) -> π(·|s), a distribution over actions."""
         mean = self.actor(self.obs_stats.normalise(obs))
         gaussians = torch.distributions.Normal(mean, self.std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -94,14 +94,14 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> within bounds; log π, of the former, needs no term for tanh."""
+    """Unbounded actions (N, K) -> bounded. π is the density of the former: log π ignores tanh."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -119,7 +119,7 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w is B divided by the number of all rows, these included:
+        """Merge in new `rows` (B, …); w = B / (number of all rows, including these):
 
         var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
         mean ← (1−w)·mean + w·mean_new
@@ -127,7 +127,7 @@ class RunningStatistics(nn.Module):
         self.count += len(rows)
         weight = len(rows) / self.count
         between = (1 - weight) * (rows.mean(0) - self.mean) ** 2
-        # A dimension that has never changed has variance 0; the floor avoids dividing by it.
+        # A dimension that has never changed has variance 0; the floor avoids dividing by 0.
         self.var.lerp_(rows.var(0, correction=0) + between, weight).clamp_(min=1e-8)
         self.mean.lerp_(rows.mean(0), weight)
 
@@ -171,8 +171,8 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    Then one learning rate can serve all tasks, whatever the unit of their rewards. Future rewards
-    are not known yet, so F discounts past ones; `past_return` (N,) is F before, then after these T:
+    Then the critic's targets have a similar spread in all tasks. It is not known beforehand: that
+    of F, which discounts past rewards, stands in for it. `past_return` (N,) carries F on:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
     """
@@ -191,16 +191,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends where A_{t+1} belongs to another episode or is not known:
+    The sum ends with δ_t where A_{t+1} belongs to another episode or is unknown. In that δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V is the true value of π, δ_t has the mean A(s_t,a_t) and every later δ the mean 0, so A_t is
-    right on average for every λ. As V is an estimate, λ trades bias for variance. With λ = 0, A_t
-    is δ_t: one reward, and V for all others. Little noise, but the errors of V (bias). With λ = 1
-    all values in between cancel, and A_t is the discounted rewards up to where the sum ends, plus
-    the discounted V there, minus V(s_t): less bias, but the luck of each later step (variance).
+    If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
+    on average for every λ. As V is an estimate, λ balances bias against variance. λ = 0: A_t = δ_t,
+    one reward, and V for all others; little noise, but the errors of V (bias). λ = 1: all values in
+    between cancel, and A_t is the discounted sum of rewards up to where the sum ends, plus the
+    discounted V there, minus V(s_t); less bias, but the luck of each later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -214,18 +214,21 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
-    J is the expected discounted return from the first state s_0 on, ∇ the gradient with respect to
-    the parameters of π, and E a mean over the actions of π and the states s' that follow. Then
+    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
+    parameters of π; E is a mean over actions of π and what follows them, r and the next state s',
+    which depend on these parameters only through the actions. The goal is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = 0, as π sums to 1
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫∇π da = ∇1 = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    As usual, γ^t is left out, so that late steps count as much as early ones.
+    V(s), subtracted from Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it
+    is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
+    as much as early ones; strictly, what remains is not ∇J.
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates this up to a constant factor.
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates it up to a constant factor.
     Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
     away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
     no gradient. Where ρ has gone the wrong way, min selects the unclipped term, which leads back.
@@ -238,8 +241,8 @@ def policy_loss(ratio, advantages, clip_eps):
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
-    Adding ρ − 1 does not change the mean, as E_old[ρ] = ∫ π_old·(π/π_old) da = 1, but leaves no
-    term negative and, where ρ is near 1, takes away most of the noise of the estimate.
+    E_old is a mean over actions of π_old. Adding ρ − 1 does not change it, as E_old[ρ − 1] =
+    ∫ π_old·(π/π_old) da − 1 = 0, but leaves no term negative and, for ρ near 1, much less noise.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
@@ -251,9 +254,9 @@ def optimise(agent, optimizer, batch, args):
             policy = agent.policy(batch.obs[rows])
             log_ratio = policy.log_prob(batch.actions[rows]) - batch.log_probs[rows]
             if approximate_kl(log_ratio) > args.max_kl:
-                return False  # far enough; the steps so far stay
+                return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # Subtracting the mean lowers the noise, as V does; dividing sets the scale to 1.
+            # Like V, the mean is a baseline that lowers the noise; dividing sets the scale to 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -265,7 +268,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """Diagnostics over the whole rollout: of π after the update, of V before it, when R − V = A."""
+    """Metrics of the whole rollout: of π after the update, of V before it, when R − V = A."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -284,7 +287,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
+    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
@@ -309,10 +312,10 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # Many small steps average out more noise than a few large ones that reach the KL limit.
+        # Slower after an update cut short, then faster again: small steps average out more noise.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
-        # Step 6: update these statistics last, as steps 2 to 5 must normalise in the same way.
+        # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]
@@ -322,36 +325,36 @@ def train(args, seed, envs, agent, optimizer, env_step):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a one-line error that names them."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
-    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps in all")
-    add("--out-dir", default="runs", help="where the new folder of this run is made")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps per agent")
+    add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="go on, in a new folder")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
-    add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--eval-episodes", type=number(int, 1), default=10, help="episodes per evaluation")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
-    add("--rollout-steps", type=number(int, 1), default=128, help="steps in each environment")
+    add("--rollout-steps", type=number(int, 1), default=128, help="steps per environment")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch")
-    add("--learning-rate", type=number(float, 0), default=1e-3, help="of actor and critic")
+    add("--learning-rate", type=number(float, 0), default=1e-3, help="of both networks, at first")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
+    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 relies on V, 1 on rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
-    add("--max-kl", type=number(float, 0), default=0.03, help="ends an update that exceeds it")
-    add("--hidden-size", type=number(int, 1), default=128, help="units of each hidden layer")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="sigma of actions at the start")
-    add("--last-std", type=number(float, 1e-4), default=0.1, help="sigma of actions at the end")
+    add("--max-kl", type=number(float, 0), default=0.03, help="where an update ends")
+    add("--hidden-size", type=number(int, 1), default=128, help="units per hidden layer")
+    add("--first-std", type=number(float, 1e-4), default=0.6, help="first sigma (before tanh)")
+    add("--last-std", type=number(float, 1e-4), default=0.1, help="last sigma (before tanh)")
     return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
+    """An argparse type: an int or float in [low, high]; 1e6 counts as an int."""
 
     def option(text):
         value = float(text)
@@ -368,7 +371,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
+    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
@@ -379,8 +382,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
-    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
+    evaluations, 2 + k for a training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -390,7 +393,7 @@ def evaluate(agent, envs, seed):
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # an environment that has finished runs on, but no longer counts
+    while playing.any():  # those that have finished run on, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -400,7 +403,7 @@ def evaluate(agent, envs, seed):
 
 
 def watch(args):
-    """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
+    """Evaluate a checkpoint; beside it, save a GIF of the first episode if it can be drawn."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
@@ -415,7 +418,7 @@ def watch(args):
 
 
 def run(index, args, folder):
-    """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
+    """Train the agent of one seed; save its tables and a checkpoint at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
     folder = folder / f"seed-{seed}"
@@ -432,10 +435,10 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()  # the loop below begins by evaluating there
+    last = tables["evals"].pop()  # the loop begins by evaluating there anew
     first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
+    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -456,7 +459,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write the new files before they replace the old ones: none is ever half-written."""
+    """Write new files, then replace the old ones: none of these is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -466,7 +469,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
+    """Print the result of each seed; draw learning_curve.png: mean and range over seeds."""
     files = sorted(folder.glob("seed-*/*.csv"))
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
@@ -488,7 +491,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options that are not given are the checkpoint's (not its device) or the defaults."""
+    """Options and task. Options not given: the checkpoint's (not its device) or the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:
@@ -525,7 +528,7 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+        if any(folder.glob("seed-*/*.csv")):  # none if it ended before the first evaluation
             report(folder, args.env_id)
 
 

@@ -10,31 +10,31 @@
 
 trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
 1, for at most 1000 steps. After 100,000 steps, within a minute, each agent earns all 1000 in
-evaluation, where actions are not drawn from the policy π, but are its mean.
+evaluation, where it takes its mean action instead of a random one.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
-answers with a reward r and the next state, until the episode ends. The more reward followed an
-action, the more likely REINFORCE makes it:
+answers with a reward r and the next state, until the episode ends. Actions are made more likely in
+proportion to the reward that followed them:
 
   1. Anneal the learning rate: it falls linearly to 0.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the discounted return from every step t on:  G_t = r_t + γ·G_{t+1}. It looks about
-     1 / (1 − γ) = 50 steps ahead: blind to later rewards, but less noisy than the plain sum. After
-     the last step, G_T = 0 if the episode ended for good; if a time limit cut it off, the critic's
-     estimate V(s_T) stands for what could have followed [3]. The critic is a second network.
+  3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98,
+     rewards more than 1 / (1 − γ) = 50 steps later count little, which lowers the noise. After the
+     last step, G_T = 0 if the episode ended for good; if a time limit cut it off, G_T = V(s_T), the
+     return that a second network, the critic, still expects [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
-         --baseline value   b_t = V(s_t), for which the critic learns to predict G_t
-  5. Take a step of Adam on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
-     Discard the batch: the next update needs actions of the new π. Go to 1.
+         --baseline value   b_t = V(s_t), the critic's prediction of G_t
+  5. Take a step of Adam, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
+     Discard the batch: the next update needs actions of the new π. Repeat from 1.
 
-This is REINFORCE [1] with a baseline, and with returns counted from each step on [2]. The rest are
-implementation details: annealing, Adam, a mean over the steps of a batch, a floor under σ,
-orthogonal initialisation with a small last layer of π, leaving γ^t out of the gradient.
-The environment clips actions to its bounds; log π is that of the action before clipping. Because
-of time limits, a critic is trained with every baseline.
+This is REINFORCE [1] with a baseline, and with the return that follows each step [2]. The rest are
+implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on σ,
+orthogonal initialisation with a small last layer of π, leaving γ^t out (see `policy_loss`).
+The environment clips actions to its bounds; log π is that of the action before clipping. The critic
+is trained with every baseline, as step 3 needs it.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -75,15 +75,15 @@ class Agent(nn.Module):
     def __init__(self, observation_space, action_space, args):
         super().__init__()
         inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        # At first π hardly depends on s.
+        # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, 2 * outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution of actions (…, K)."""
+        """Observations (…, D) -> π(·|s), a distribution over actions."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
-        # The floor under σ keeps π exploring and the gradients moderate: ∂log π/∂μ = (a − μ)/σ²
-        # has the standard deviation 1/σ, which is at most 10.
+        # The lower bound on σ keeps π exploring and gradients moderate: ∂log π/∂μ = (a − μ)/σ² has
+        # the standard deviation 1/σ, which is at most 10.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -94,7 +94,7 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """Observations (N, D) -> actions (N, …), sampled from π, or its mode; NumPy arrays."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
@@ -154,13 +154,13 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, but without γ^t.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, up to scale and γ^t.
 
-    J is the expected discounted return of an episode, ∇ the gradient with respect to the weights of
-    the actor, and E a mean over actions of π and the environment's answers; given s and a, these
-    answers, the next state s' among them, do not depend on the weights. V(s) is here the true
-    expected return from s on, not the critic, and Q(s,a) the same if a is taken first. Then (the
-    policy gradient theorem, [2] section 13.2)
+    Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
+    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is a
+    mean over actions of π and what follows them, r and the next state s', which depend on these
+    weights only through the actions. The goal is J = E[V(s_0)]. Then (the policy gradient theorem,
+    [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -170,17 +170,17 @@ def policy_loss(log_probs, advantages):
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
-    left out, to give late steps the same weight as early ones; strictly, what remains is no longer
-    the gradient of J. A mean instead of a sum hardly matters, as Adam adapts to the loss's scale.
+    left out, so that late steps count as much as early ones; strictly, what remains is not ∇J. A
+    mean over steps, not a sum, keeps the scale of the loss steady while episodes grow longer.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
-    it leaves the mean of the estimate as it is. A good one takes away much of the noise. If all
+    the mean of the estimate stays as it is. A good baseline removes much of its noise. If all
     returns are positive, then without a baseline every action that was tried is made more likely,
-    bad ones only less so; with V, those that turned out worse than expected are made less likely.
+    bad ones just by less; with V, those that turned out worse than expected are made less likely.
 
-    Three small biases remain. Both the baseline `mean` and the number of steps B, by which the sum
-    over the batch is divided, depend on the actions, less and less the more episodes a batch has;
-    and at a time limit V is only an estimate.
+    Other biases are smaller the more episodes a batch has: the baseline `mean` and the number of
+    steps B, by which the sum is divided, depend on the actions. And at a time limit V is only an
+    estimate.
     """
     return -(advantages * log_probs).mean()
 
@@ -193,15 +193,15 @@ def optimise(agent, optimizer, batch, args):
     loss_pi = policy_loss(policy.log_prob(batch.actions), advantages)
     loss_v = ((values - batch.returns) ** 2).mean() / 2
     optimizer.zero_grad()
-    (loss_pi + loss_v).backward()  # they share no weights, so one pass serves both
+    (loss_pi + loss_v).backward()  # they share no weights: each gets its own gradient
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "policy_std": policy.stddev.mean()}
     return {name: x.item() for name, x in metrics.items()}
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields at the start and after each update: `env_step`, new rows of episodes and metrics."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))
+    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
+    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # seeds it; `rollout` resets again
     env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -219,28 +219,28 @@ def train(args, seed, envs, agent, optimizer):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a line that names them."""
+    """The options. Most invalid ones end the program with a one-line error that names them."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, run in parallel")
-    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps in all")
-    add("--out-dir", default="runs", help="where the new folder of this run is made")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps per agent")
+    add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations during training")
-    add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
-    add("--batch-episodes", type=number(int, 1), default=4, help="episodes in a batch")
+    add("--batch-episodes", type=number(int, 1), default=4, help="episodes per batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
-    add("--learning-rate", type=number(float, 0), default=3e-3, help="of actor and critic")
+    add("--learning-rate", type=number(float, 0), default=3e-3, help="of both networks, at first")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
-    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
+    add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
 
 def number(kind, low, high=1e12):
-    """An argparse type: an int or float in [low, high]; 1e6 is an int, too."""
+    """An argparse type: an int or float in [low, high]; 1e6 counts as an int."""
 
     def option(text):
         value = float(text)
@@ -257,7 +257,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; 10,000 steps where there is no limit. NaN or inf raises ValueError."""
+    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.ClipAction], **kwargs)
@@ -267,8 +267,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 is for weights and actions, 1 for
-    evaluations, 2 + k for a training that starts (k = 0) or is resumed at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
+    evaluations, 2 + k for a training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
@@ -278,7 +278,7 @@ def evaluate(agent, envs, seed):
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # an environment that has finished runs on, but no longer counts
+    while playing.any():  # those that have finished run on, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -288,7 +288,7 @@ def evaluate(agent, envs, seed):
 
 
 def watch(args):
-    """Evaluate a checkpoint, and make a GIF of the first episode beside it."""
+    """Evaluate a checkpoint; beside it, save a GIF of the first episode if it can be drawn."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args)
@@ -303,7 +303,7 @@ def watch(args):
 
 
 def run(index, args, folder):
-    """Train one of the seeds; its tables and a checkpoint are saved at every evaluation."""
+    """Train the agent of one seed; save its tables and a checkpoint at every evaluation."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
     folder = folder / f"seed-{seed}"
@@ -316,7 +316,7 @@ def run(index, args, folder):
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None, unless several seeds are trained
+    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
@@ -337,7 +337,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write the new files before they replace the old ones: none is ever half-written."""
+    """Write new files, then replace the old ones: none of these is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -347,7 +347,7 @@ def save(folder, checkpoint):
 
 
 def report(folder, env_id):
-    """Print the result of each seed; draw learning_curve.png: mean, lowest and highest seed."""
+    """Print the result of each seed; draw learning_curve.png: mean and range over seeds."""
     files = sorted(folder.glob("seed-*/*.csv"))
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
@@ -368,7 +368,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options that are not given are the checkpoint's or the defaults."""
+    """Options and task. Options not given: the checkpoint's or the defaults."""
     args = parser.parse_args(argv)
     if path := args.watch:
         try:
@@ -405,7 +405,7 @@ def main():
     except KeyboardInterrupt:
         sys.exit(130)
     finally:
-        if any(folder.glob("seed-*/*.csv")):  # none, if it ended before the first evaluation
+        if any(folder.glob("seed-*/*.csv")):  # none if it ended before the first evaluation
             report(folder, args.env_id)
 
 
