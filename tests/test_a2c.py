@@ -72,14 +72,6 @@ def check_same(some, others):
 # --- The update -----------------------------------------------------------------------------------
 
 
-def test_the_policy_loss_by_hand():
-    log_probs = torch.tensor([-1.0, -0.5, -2.0], requires_grad=True)
-    loss = a2c.policy_loss(log_probs, torch.tensor([2.0, -4.0, 1.0]))
-    assert loss.item() == pytest.approx(-(-2 + 2 - 2) / 3)
-    loss.backward()
-    torch.testing.assert_close(log_probs.grad, -torch.tensor([2.0, -4.0, 1.0]) / 3)
-
-
 def by_hand(args, agent, batch, length, terminates):
     """Gradients and diagnostics of the loss that a2c_vector.py states, from the definitions.
 
@@ -203,18 +195,6 @@ def test_learning_rates_and_entropy_bonus_fall_in_a_straight_line(first_step, mo
     begins = np.arange(first_step, 400, 100)
     np.testing.assert_array_equal([env_step for env_step, *_ in updates], begins + 100)
     np.testing.assert_allclose(seen, np.outer(1 - begins / 390, [2e-3, 4e-3, 0.5]))
-
-
-def test_rewards_are_scaled_once_and_logged_returns_stay_raw():
-    """γ = 0 makes a target of a single reward, and this critic is one that says 0."""
-    args, envs, agent = make(
-        "--gamma 0 --reward-scale 0.5 --critic-learning-rate 0 --total-steps 300")
-    for parameter in agent.critic.parameters():
-        parameter.data.zero_()
-    _, *updates = train(args, envs, agent)
-    assert [metrics["value_loss"] for _, _, (metrics,) in updates] == [0.5**2 / 2] * 3
-    episodes = [row["return"] for _, rows, _ in updates for row in rows]
-    assert episodes == [3.0] * 4 * (3 * 25 // 3)
 
 
 def test_the_agent_that_learns_from_a_rollout_is_the_one_that_played_it(rollouts, monkeypatch):

@@ -43,7 +43,7 @@ def weights_after_training(folder, variant):
     spec = importlib.util.spec_from_file_location("variant", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 0.01"
+    sizes = "--num-envs 4 --rollout-steps 50 --total-steps 600 --learning-rate 3e-3"
     args = module.parse_args(["--env-id", "Timed-v0", *sizes.split()])
     torch.manual_seed(0)
     envs = module.make_envs(args.env_id, args.num_envs, "Disabled")

@@ -58,7 +58,7 @@ ENVIRONMENTS = {  # and what the message must contain
 }
 ONLY = {
     "reinforce_mujoco": ["CartPole-v1"],
-    "a2c_vector": ["InvertedPendulum-v5", "Unbounded-v0"],
+    "a2c_vector": ["InvertedPendulum-v5", "Unbounded-v0", "DiscreteImage-v0"],
     "ppo_continuous": ["CartPole-v1", "Unbounded-v0"],
 }
 
@@ -76,20 +76,14 @@ def test_numbers_out_of_range_and_no_numbers_are_named(script, refusal):
         default = default[0] if name == "seed" else default
         if type(default) in (int, float):
             flag = "--" + name.replace("_", "-")
-            values = ["nan", "inf", "-11", "1e13", "1,5", "", *["1.5"][type(default) is float:]]
+            values = ["nan", "inf", "-11", "1e13", "1,5", ""]
+            if type(default) is int:
+                values += ["1.5"] if name == "seed" else ["1.5", "0"]
             for value in values:
                 assert f"argument {flag}: " in refusal(script, f"{flag}={value}")
     assert "got" not in refusal(script, "--gamma", "1.01")
     args = script.module.parse_args(["--total-steps", "1e6", "--seed", "1e3", "0"])
     assert repr((args.total_steps, args.seed)) == "(1000000, [1000, 0])"
-
-
-def test_counts_cannot_be_zero(script, refusal):
-    counts = {"total_steps", "num_evals", "eval_episodes", "num_envs", "rollout_steps", "epochs",
-              "minibatch_size", "hidden_size", "batch_episodes"}
-    for name in counts & vars(script.module.parse_args([])).keys():
-        flag = "--" + name.replace("_", "-")
-        assert f"argument {flag}: 0 is no int" in refusal(script, flag, "0")
 
 
 @only("a2c_vector")

@@ -89,16 +89,6 @@ def test_a_seed_with_many_short_episodes_counts_as_much_as_one_with_few_long_one
             np.testing.assert_allclose(y[1:-1], 510)
 
 
-def test_many_episodes_become_means_over_fiftieths_of_the_run(script, folder, draw, tmp_path):
-    at = np.arange(1, 1001)
-    write_tables(tmp_path / "seed-1", metrics_of(script, folder), at, at)
-    panels = draw(script, tmp_path, script.world("ThreeSteps"))
-    for panel in panels.values():
-        for x, y in curves(panel).values():
-            assert 45 < len(x) <= 52
-            assert (np.abs(x - y) <= 1000 / 50).all()
-
-
 def test_a_run_without_a_finished_episode_is_drawn_as_far_as_it_went(script, draw, tmp_path):
     write_tables(tmp_path / "seed-1", ["policy_loss"], [0, 100, 200], [1, 2, 3])
     (tmp_path / "seed-1/episodes.csv").unlink()

@@ -111,16 +111,6 @@ def test_every_row_is_a_real_transition(script, world):
 
 
 @both
-def test_a_rollout_goes_on_where_the_last_one_ended(script):
-    args, envs, agent = make(script, UNEVEN)
-    first, obs, _ = play(script, args, envs, agent)
-    second, _, _ = script.module.rollout(envs, agent, obs, args, 100)
-    goes_on = first.done[-1] == 0
-    assert goes_on.any()
-    assert torch.equal(second.obs[0][goes_on], first.next_obs[-1][goes_on])
-
-
-@both
 def test_the_stored_actions_are_those_that_were_executed(script):
     """In this world the sum of an action is its reward; it refuses actions out of bounds."""
     args, envs, agent = make(script, UNEVEN)
@@ -239,13 +229,3 @@ def test_what_is_not_finite_in_float32_ends_a_training(script, what, total, step
     break_last(envs, what, total, steps, value)
     with pytest.raises(ValueError, match="infs or NaNs"):
         play(script, args, envs, agent)
-
-
-@expected_warnings
-@faults
-@pytest.mark.parametrize(("what", "steps"), [("reward", 2), ("observe", 2), ("observe", 0)])
-def test_what_is_not_finite_in_float32_ends_an_evaluation(script, what, steps, value):
-    _, envs, agent = make(script, WIDE, "NextStep")
-    break_last(envs, what, steps, steps, value)
-    with pytest.raises(ValueError, match="infs or NaNs"):
-        script.module.evaluate(agent, envs, 1)
