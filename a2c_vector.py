@@ -282,7 +282,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps per agent")
     add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
@@ -300,8 +300,8 @@ def parse_args(argv=None):
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
-    add("--entropy-coef", type=number(float, 0), default=0.01, help="entropy bonus, at first")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="longer ones are shortened")
+    add("--entropy-coef", type=number(float, 0), default=0.01, help="weight of entropy, at first")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="clips longer gradients")
     add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
@@ -381,6 +381,7 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
+    # Training begins at the last evaluation, which the loop repeats; without --resume at this one:
     tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
@@ -388,7 +389,7 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()  # the loop begins by evaluating there anew
+    last = tables["evals"].pop()
     first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None if there is only one seed

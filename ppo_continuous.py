@@ -172,7 +172,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
     Then the critic's targets have a similar spread in all tasks. It is not known beforehand: that
-    of F, which discounts past rewards, stands in for it. `past_return` (N,) carries F on:
+    of F, which discounts past rewards, stands in for it. The last F (N,) is returned, too, and
+    comes back as `past_return` with the next rollout:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
     """
@@ -228,7 +229,7 @@ def policy_loss(ratio, advantages, clip_eps):
     is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
     as much as early ones; strictly, what remains is not ∇J.
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates it up to a constant factor.
+    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates what remains, up to scale.
     Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
     away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
     no gradient. Where ρ has gone the wrong way, min selects the unclipped term, which leads back.
@@ -329,7 +330,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=number(int, 1), default=150_000, help="environment steps per agent")
     add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
@@ -346,7 +347,7 @@ def parse_args(argv=None):
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 relies on V, 1 on rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
-    add("--max-kl", type=number(float, 0), default=0.03, help="where an update ends")
+    add("--max-kl", type=number(float, 0), default=0.03, help="KL at which an update ends")
     add("--hidden-size", type=number(int, 1), default=128, help="units per hidden layer")
     add("--first-std", type=number(float, 1e-4), default=0.6, help="first sigma (before tanh)")
     add("--last-std", type=number(float, 1e-4), default=0.1, help="last sigma (before tanh)")
@@ -428,6 +429,7 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
+    # Training begins at the last evaluation, which the loop repeats; without --resume at this one:
     tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
@@ -435,7 +437,7 @@ def run(index, args, folder):
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
         torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()  # the loop begins by evaluating there anew
+    last = tables["evals"].pop()
     first_step, seconds = last["env_step"], last["seconds"]
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None if there is only one seed

@@ -223,7 +223,7 @@ def parse_args(argv=None):
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="one agent each, in parallel")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=number(int, 1), default=100_000, help="environment steps per agent")
     add("--out-dir", default="runs", help="where the new folder of the run is made")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
