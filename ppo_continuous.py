@@ -348,7 +348,7 @@ def parse_args(argv=None):
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 relies on V, 1 on rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=number(float, 0), default=0.03, help="KL at which an update ends")
-    add("--hidden-size", type=number(int, 1), default=128, help="units per hidden layer")
+    add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     add("--first-std", type=number(float, 1e-4), default=0.6, help="first sigma (before tanh)")
     add("--last-std", type=number(float, 1e-4), default=0.1, help="last sigma (before tanh)")
     return parse_and_check(parser, argv)
