@@ -37,11 +37,11 @@ def changed(change):
 
 def jobs(quick):
     found = []
-    for env_id in list(TASKS)[:1] if quick else TASKS:
+    for env_id, steps in list(TASKS.items())[:1] if quick else TASKS.items():
         for name in list(CHANGES)[:2] if quick else CHANGES:
             flags, variant = changed(CHANGES[name])
-            steps = "" if quick else f" --total-steps {TASKS[env_id]} --num-evals 4 --eval-episodes 20"
-            found += common.training_jobs(PPO, quick, f"--env-id {env_id}{steps} {flags}", SEEDS,
+            size = "" if quick else f" --total-steps {steps} --num-evals 4 --eval-episodes 20"
+            found += common.training_jobs(PPO, quick, f"--env-id {env_id}{size} {flags}", SEEDS,
                                           variant=variant, part=f"{env_id}: {name}")
     return found
 
@@ -70,8 +70,9 @@ def report(data, draw):
                 for name, x, gap, margin in found[env_id]]
         usual = runs[runs["part"].str.endswith(": defaults")]["return_mean"]
         rows.insert(0, ["defaults", *spread(usual, 0), ""])
-        tables[env_id.split("-")[0].lower()] = common.table(
-            [f"{env_id}, {TASKS[env_id]:,} steps", "mean ± std", "every seed", "difference, 95%"], rows)
+        title = f"{env_id}, {TASKS[env_id]:,} steps"
+        header = [title, "mean ± std", "every seed", "difference, 95%"]
+        tables[env_id.split("-")[0].lower()] = common.table(header, rows)
     draw(picture(found), "ablation")
     return tables
 
