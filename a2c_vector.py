@@ -16,24 +16,24 @@ a neural network, the actor. The environment answers with a reward r and the nex
 episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
-followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
-is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
+followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
+action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal the learning rates and the weight c of the entropy bonus: they fall linearly to 0.
+  1. Anneal the learning rates, and the weight c of a bonus for randomness (entropy), to 0.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a);
-     least squares finds its mean over the actions of π, which is V(s).
-  5. Standardise A over the rollout, and take a step of Adam on
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a),
+     whose mean over the actions of π is V(s); least squares finds that mean.
+  5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 REINFORCE needs the returns of whole episodes. A2C bootstraps: the critic's estimate stands for the
-rewards to come, so it learns before an episode ends. In A3C [1] workers update shared weights
-without waiting for each other; A2C waits for all environments. GAE [2] replaces A3C's advantages.
-The rest are implementation details: annealing, observation normalisation and clipping, reward
-scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
-gradient clipping, Adam's eps, and A3C's entropy bonus (against settling on one action too early).
+rewards to come, so A2C learns before an episode ends. In A3C [1] workers update shared weights
+without waiting for each other; A2C waits for all environments, and GAE [2] replaces n-step returns.
+The rest are implementation details: learning-rate annealing, observation normalisation and
+clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
+layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, against settling too early.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -90,14 +90,14 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance, dimension by dimension, of all rows seen so far."""
+    """Mean and variance of all rows seen so far, for each dimension."""
 
     def __init__(self, shape):
         super().__init__()
@@ -138,9 +138,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
-    each episode that ended. The environments do not reset themselves, so `next_obs` is always what
-    followed the action, even at the end of an episode. `env_step` steps were taken before.
+    Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
+    length of each episode that ended. The environments do not reset themselves, so `next_obs` is
+    always what followed the action, even at the end of an episode. `env_step` counts steps before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -172,10 +172,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
-    on average for every λ. As V is an estimate, λ balances bias against variance. λ = 0: A_t = δ_t,
-    one reward, and V for all others; little noise, but the errors of V (bias). λ = 1: all values in
-    between cancel, and A_t is the discounted sum of rewards up to where the sum ends, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of each later step (variance).
+    on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
+    A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
+    the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
+    discounted V there, minus V(s_t); less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -190,8 +190,9 @@ def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (T·N,). The gradient estimates −∇J, up to scale and γ^t.
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E is a mean over actions of π and what follows them, r and the next state s',
-    which depend on these parameters only through the actions. The goal is J = E[V(s_0)].
+    parameters of π; E averages over all that is random: the first state s_0, the actions, and what
+    they lead to, r and the next state s'. The parameters influence nothing but the choice of
+    actions. The objective is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -221,7 +222,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
+               # R − V = A. 1: perfect up to a constant; 0: no better than a constant; < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
@@ -233,7 +234,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
+    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -278,13 +279,13 @@ class RandomPhysics(gym.Wrapper):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a one-line error that names them."""
+    """The options; most invalid ones end the program with a one-line error."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
     add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps per agent")
-    add("--out-dir", default="runs", help="where the new folder of the run is made")
+    add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
@@ -292,16 +293,16 @@ def parse_args(argv=None):
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
-    add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="LunarLander: train in changing physics")
     add("--rollout-steps", type=number(int, 1), default=64, help="steps per environment")
-    add("--reward-scale", type=number(float, 0), default=0.1, help="factor of rewards in training")
+    add("--reward-scale", type=number(float, 0), default=0.1, help="multiplies rewards in training")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
-    add("--entropy-coef", type=number(float, 0), default=0.01, help="weight of entropy, at first")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="clips longer gradients")
+    add("--entropy-coef", type=number(float, 0), default=0.01, help="initial weight of the entropy")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="largest norm of a gradient")
     add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
@@ -312,7 +313,7 @@ def number(kind, low, high=1e12):
     def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
     return option
@@ -323,11 +324,11 @@ def number(kind, low, high=1e12):
 # ==================================================================================================
 
 
-def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), **kwargs):
-    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
+def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=False, **kwargs):
+    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
-        gym.wrappers.RecordEpisodeStatistics, *wrappers], **kwargs)
+        gym.wrappers.RecordEpisodeStatistics, *([RandomPhysics] if randomize else [])], **kwargs)
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
     return gym.wrappers.vector.TransformObservation(envs, check_finite)
@@ -335,17 +336,17 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", wrappers=(), 
 
 def make_seeds(seed, stream, count):
     """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for a training that begins at step k.
+    evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
 def evaluate(agent, envs, seed):
-    """An episode of deterministic actions in each environment; the same starts at every call."""
+    """One deterministic episode in each environment, from the same starts at every call."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # those that have finished run on, but no longer count
+    while playing.any():  # finished ones keep running, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -376,12 +377,12 @@ def run(index, args, folder):
     folder = folder / f"seed-{seed}"
     folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
-    envs = make_envs(args.env_id, args.num_envs, "Disabled",  # `rollout` resets them
-                     args.vectorization, [RandomPhysics] if args.randomize else [])
+    # "Disabled" leaves resets to `rollout`.
+    envs = make_envs(args.env_id, args.num_envs, "Disabled", args.vectorization, args.randomize)
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    # Training begins at the last evaluation, which the loop repeats; without --resume at this one:
+    # The loop begins by repeating the last evaluation; without --resume, this one:
     tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
@@ -413,7 +414,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write new files, then replace the old ones: none of these is ever half-written."""
+    """Write new files, then replace the old ones, so that none is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -428,8 +429,8 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
-    data["env_step"] = data["env_step"] // width * width
+    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
@@ -445,7 +446,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options and task. Options not given: the checkpoint's (not its device) or the defaults."""
+    """Check options and task. Options not given: the checkpoint's (not its device) or defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

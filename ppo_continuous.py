@@ -9,31 +9,31 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, each of the five that we trained scored at least 9,326 of 9,360 in evaluation.
+a minute, the five agents that we trained balanced it through every episode of an evaluation.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
 episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
-followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better a
-is than what π does on average. Actions with A > 0 are made more likely, those with A < 0 less.
+followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
+action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal linearly: the learning rate to 0; σ, the standard deviation of π, from 0.6 to 0.1.
+  1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a);
-     least squares finds its mean over the actions of π, which is V(s).
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a),
+     whose mean over the actions of π is V(s); least squares finds that mean.
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower the learning rate and go to 6. If
-     not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step of Adam on
+     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, slow down the next updates and go to 6.
+     If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-From PPO [1]: rollouts, epochs, the loss, an annealed σ, a learning rate that adapts to the KL.
-The rest are implementation details: annealing, observation normalisation and clipping, reward
-scaling, standardised advantages, orthogonal initialisation with a small last layer of π,
-tanh squashing, and a KL limit that ends an update. Many of them are described in [4], GAE in [2].
+From PPO [1]: rollouts, GAE [2], epochs, the loss, an annealed σ, steps that adapt to the KL.
+The rest are implementation details: learning-rate annealing, observation normalisation and
+clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
+layer of π, tanh squashing, and a KL limit that ends an update. Many are described in [4].
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -94,19 +94,19 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded. π is the density of the former: log π ignores tanh."""
+    """Unbounded actions (N, K) -> bounded. log π is that of the former: tanh would cancel in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance, dimension by dimension, of all rows seen so far."""
+    """Mean and variance of all rows seen so far, for each dimension."""
 
     def __init__(self, shape):
         super().__init__()
@@ -147,9 +147,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, float tensors (T, N, …); the observations to go on from; and a row for
-    each episode that ended. The environments do not reset themselves, so `next_obs` is always what
-    followed the action, even at the end of an episode. `env_step` steps were taken before.
+    Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
+    length of each episode that ended. The environments do not reset themselves, so `next_obs` is
+    always what followed the action, even at the end of an episode. `env_step` counts steps before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -171,11 +171,12 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
 
-    Then the critic's targets have a similar spread in all tasks. It is not known beforehand: that
-    of F, which discounts past rewards, stands in for it. The last F (N,) is returned, too, and
-    comes back as `past_return` with the next rollout:
+    Then the critic's targets have a similar spread in all tasks. Returns lie in the future, so that
+    of F, which discounts past rewards in the same way, stands in for theirs:
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
+
+    `past_return` (N,) is F_{t−1} of the first step; that of the next rollout is returned, too.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -198,10 +199,10 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
-    on average for every λ. As V is an estimate, λ balances bias against variance. λ = 0: A_t = δ_t,
-    one reward, and V for all others; little noise, but the errors of V (bias). λ = 1: all values in
-    between cancel, and A_t is the discounted sum of rewards up to where the sum ends, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of each later step (variance).
+    on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
+    A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
+    the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
+    discounted V there, minus V(s_t); less bias, but the luck of every later step (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -216,8 +217,9 @@ def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E is a mean over actions of π and what follows them, r and the next state s',
-    which depend on these parameters only through the actions. The goal is J = E[V(s_0)].
+    parameters of π; E averages over all that is random: the first state s_0, the actions, and what
+    they lead to, r and the next state s'. The parameters influence nothing but the choice of
+    actions. The objective is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -243,7 +245,7 @@ def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
     E_old is a mean over actions of π_old. Adding ρ − 1 does not change it, as E_old[ρ − 1] =
-    ∫ π_old·(π/π_old) da − 1 = 0, but leaves no term negative and, for ρ near 1, much less noise.
+    ∫ π_old·(π/π_old) da − 1 = 0, but makes no term negative and, near ρ = 1, removes most noise.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
@@ -269,13 +271,13 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """Metrics of the whole rollout: of π after the update, of V before it, when R − V = A."""
+    """Metrics of the whole rollout: of π after the update, A not standardised; of V before it."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # 1: perfect up to a constant; 0: no better than a constant; below 0: worse.
+               # R − V = A. 1: perfect up to a constant; 0: no better than a constant; < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -288,7 +290,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
+    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
@@ -313,7 +315,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # Slower after an update cut short, then faster again: small steps average out more noise.
+        # An update that was cut short calls for smaller steps, so that more of them fit.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
         # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
@@ -326,13 +328,13 @@ def train(args, seed, envs, agent, optimizer, env_step):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a one-line error that names them."""
+    """The options; most invalid ones end the program with a one-line error."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
     add("--total-steps", type=number(int, 1), default=150_000, help="environment steps per agent")
-    add("--out-dir", default="runs", help="where the new folder of the run is made")
+    add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
@@ -342,8 +344,8 @@ def parse_args(argv=None):
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
     add("--rollout-steps", type=number(int, 1), default=128, help="steps per environment")
     add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 2), default=512, help="steps in a minibatch")
-    add("--learning-rate", type=number(float, 0), default=1e-3, help="of both networks, at first")
+    add("--minibatch-size", type=number(int, 2), default=512, help="transitions in a minibatch")
+    add("--learning-rate", type=number(float, 0), default=1e-3, help="initial, of both networks")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 relies on V, 1 on rewards")
     add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
@@ -360,7 +362,7 @@ def number(kind, low, high=1e12):
     def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
     return option
@@ -372,7 +374,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
+    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
@@ -384,17 +386,17 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 def make_seeds(seed, stream, count):
     """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for a training that begins at step k.
+    evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
 def evaluate(agent, envs, seed):
-    """An episode of deterministic actions in each environment; the same starts at every call."""
+    """One deterministic episode in each environment, from the same starts at every call."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # those that have finished run on, but no longer count
+    while playing.any():  # finished ones keep running, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -429,7 +431,7 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    # Training begins at the last evaluation, which the loop repeats; without --resume at this one:
+    # The loop begins by repeating the last evaluation; without --resume, this one:
     tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
@@ -461,7 +463,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write new files, then replace the old ones: none of these is ever half-written."""
+    """Write new files, then replace the old ones, so that none is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -476,8 +478,8 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
-    data["env_step"] = data["env_step"] // width * width
+    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
@@ -493,7 +495,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options and task. Options not given: the checkpoint's (not its device) or the defaults."""
+    """Check options and task. Options not given: the checkpoint's (not its device) or defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

@@ -9,30 +9,30 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
-1, for at most 1000 steps. After 100,000 steps, within a minute, each agent earns all 1000 in
-evaluation, where it takes its mean action instead of a random one.
+1, for at most 1000 steps. After 100,000 steps, within a minute, each of the five agents that we
+trained earned all 1000 in evaluation, where it takes the mean of π instead of a random action.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
-answers with a reward r and the next state, until the episode ends. Actions are made more likely in
-proportion to the reward that followed them:
+answers with a reward r and the next state, until the episode ends. The goal is a high return, the
+discounted sum of rewards; so actions are made more likely in proportion to the return after them:
 
-  1. Anneal the learning rate: it falls linearly to 0.
+  1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
-  3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98,
-     rewards more than 1 / (1 − γ) = 50 steps later count little, which lowers the noise. After the
-     last step, G_T = 0 if the episode ended for good; if a time limit cut it off, G_T = V(s_T), the
-     return that a second network, the critic, still expects [3].
+  3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
+     reward 1 / (1 − γ) = 50 steps later counts only γ^50 ≈ 0.36, which lowers the noise. After the
+     last step, G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were
+     still to come, and G_T = V(s_T), as predicted by a second network, the critic [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
          --baseline value   b_t = V(s_t), the critic's prediction of G_t
-  5. Take a step of Adam, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
+  5. Take an Adam step, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
      Discard the batch: the next update needs actions of the new π. Repeat from 1.
 
-This is REINFORCE [1] with a baseline, and with the return that follows each step [2]. The rest are
-implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on σ,
-orthogonal initialisation with a small last layer of π, leaving γ^t out (see `policy_loss`).
+This is REINFORCE [1] with a baseline, crediting each action only with later rewards [2]. The rest
+are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on σ,
+orthogonal initialisation with a small last layer of π, a factor γ^t left out (see `policy_loss`).
 The environment clips actions to its bounds; log π is that of the action before clipping. The critic
 is trained with every baseline, as step 3 needs it.
 
@@ -40,7 +40,7 @@ Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamm
     standard deviation of π.
 Shapes: T steps of an episode, B steps of a batch, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (the pole fell), `truncated` if only time ran out. A
-`return` in tables and figures is the plain, undiscounted sum of raw rewards.
+`return` in tables and figures is the plain, undiscounted sum of rewards.
 [1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist Reinforcement
 Learning. [2] Sutton and Barto 2018, Reinforcement Learning: An Introduction, chapter 13. [3] Pardo
 et al. 2018, Time Limits in Reinforcement Learning.
@@ -94,7 +94,7 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: samples of π, or its modes."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
@@ -115,8 +115,8 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, args, env_step):
     """Steps 2 and 3: whole episodes, one after the other. `envs` is a vector of one environment.
 
-    Returns the batch, a namespace of tensors, obs (B, D), actions (B, K) and returns (B,); and a
-    row for each episode. `env_step` is the number of steps taken before.
+    Returns the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and return and
+    length of each episode. `env_step` counts the steps before.
     """
     steps, returns, episodes = [], [], []
     for _ in range(args.batch_episodes):
@@ -157,10 +157,10 @@ def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, up to scale and γ^t.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
-    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is a
-    mean over actions of π and what follows them, r and the next state s', which depend on these
-    weights only through the actions. The goal is J = E[V(s_0)]. Then (the policy gradient theorem,
-    [2] sections 13.2 and 13.3)
+    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
+    over all that is random: the first state s_0, the actions, and what they lead to, r and the next
+    state s'. The weights influence nothing but the choice of actions. The objective is
+    J = E[V(s_0)]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -171,15 +171,15 @@ def policy_loss(log_probs, advantages):
 
     So an action is made more likely in proportion to the return that followed it. As usual γ^t is
     left out, so that late steps count as much as early ones; strictly, what remains is not ∇J. A
-    mean over steps, not a sum, keeps the scale of the loss steady while episodes grow longer.
+    mean over steps, instead of a sum, makes the scale of the loss independent of their number.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
     the mean of the estimate stays as it is. A good baseline removes much of its noise. If all
     returns are positive, then without a baseline every action that was tried is made more likely,
-    bad ones just by less; with V, those that turned out worse than expected are made less likely.
+    bad ones just by less. With b = V, those that turned out worse than expected become less likely.
 
-    Other biases are smaller the more episodes a batch has: the baseline `mean` and the number of
-    steps B, by which the sum is divided, depend on the actions. And at a time limit V is only an
+    Two biases shrink as batches grow: the baseline `mean` and the number of steps B, by which the
+    sum is divided, depend on the actions. One does not: at a time limit, G_T is only the critic's
     estimate.
     """
     return -(advantages * log_probs).mean()
@@ -193,14 +193,14 @@ def optimise(agent, optimizer, batch, args):
     loss_pi = policy_loss(policy.log_prob(batch.actions), advantages)
     loss_v = ((values - batch.returns) ** 2).mean() / 2
     optimizer.zero_grad()
-    (loss_pi + loss_v).backward()  # they share no weights: each gets its own gradient
+    (loss_pi + loss_v).backward()  # the networks share no weights: each has its own loss
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "policy_std": policy.stddev.mean()}
     return {name: x.item() for name, x in metrics.items()}
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields `env_step` and new rows of episodes and metrics: at first, and after each update."""
+    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))  # seeds it; `rollout` resets again
     env_step = 0
     yield env_step, [], []
@@ -219,13 +219,13 @@ def train(args, seed, envs, agent, optimizer):
 
 
 def parse_args(argv=None):
-    """The options. Most invalid ones end the program with a one-line error that names them."""
+    """The options; most invalid ones end the program with a one-line error."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
     add("--total-steps", type=number(int, 1), default=100_000, help="environment steps per agent")
-    add("--out-dir", default="runs", help="where the new folder of the run is made")
+    add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
     add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
@@ -233,7 +233,7 @@ def parse_args(argv=None):
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes per batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
-    add("--learning-rate", type=number(float, 0), default=3e-3, help="of both networks, at first")
+    add("--learning-rate", type=number(float, 0), default=3e-3, help="initial, of both networks")
     add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
     add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
@@ -245,7 +245,7 @@ def number(kind, low, high=1e12):
     def option(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text} is no {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: no {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
     return option
@@ -257,7 +257,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; their default limit is 10,000 steps. NaN or inf raises ValueError."""
+    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.ClipAction], **kwargs)
@@ -268,17 +268,17 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 def make_seeds(seed, stream, count):
     """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for a training that begins at step k.
+    evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
 def evaluate(agent, envs, seed):
-    """An episode of deterministic actions in each environment; the same starts at every call."""
+    """One deterministic episode in each environment, from the same starts at every call."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # those that have finished run on, but no longer count
+    while playing.any():  # finished ones keep running, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
         lengths += playing
@@ -337,7 +337,7 @@ def run(index, args, folder):
 
 
 def save(folder, checkpoint):
-    """Write new files, then replace the old ones: none of these is ever half-written."""
+    """Write new files, then replace the old ones, so that none is ever half-written."""
     for name, rows in checkpoint["tables"].items():
         if rows:
             pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
@@ -352,8 +352,8 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    width = data["env_step"].max() // 50 + 1  # a point is a mean over a fiftieth of the run
-    data["env_step"] = data["env_step"] // width * width
+    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
@@ -368,7 +368,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Options and task. Options not given: the checkpoint's or the defaults."""
+    """Check options and task. Options not given: the checkpoint's or defaults."""
     args = parser.parse_args(argv)
     if path := args.watch:
         try:

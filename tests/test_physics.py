@@ -34,7 +34,7 @@ def usual_physics():
 
 def draw_physics(vectorization):
     """What two environments draw for two episodes, for the seeds 1, 2 and 1 again."""
-    envs = a2c.make_envs(LANDER, 2, "Disabled", vectorization, [a2c.RandomPhysics])
+    envs = a2c.make_envs(LANDER, 2, "Disabled", vectorization, randomize=True)
     drawn = []
     for seed in 1, 2, 1:
         for env_seeds in a2c.make_seeds(seed, stream=2, count=2), None:

@@ -99,7 +99,9 @@ def digest(script, variant=""):
             node.body = node.body[1:] or [ast.Pass()]
         if isinstance(node, ast.Call):
             node.keywords = [x for x in node.keywords if x.arg != "help"]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:12]
+    # Only some versions of Python list empty fields.
+    text = re.sub(r"\w+=(\[\]|Load\(\))|, ", "", ast.dump(tree))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def run_folder(job):
@@ -142,7 +144,7 @@ def begin(script, args, seed):
     torch.manual_seed(module.make_seeds(seed, stream=0, count=1)[0])
     extra = ()
     if script == A2C:
-        extra = args.vectorization, [module.RandomPhysics] if args.randomize else []
+        extra = args.vectorization, args.randomize
     envs = module.make_envs(args.env_id, getattr(args, "num_envs", 1), "Disabled", *extra)
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args)
     if script == REINFORCE:
