@@ -9,7 +9,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
-ten agents that we trained had mean returns of 209 to 267 in evaluation; 200 counts as solved.
+agents of the seeds 1 to 10 earned 209 to 267 on average in evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -19,21 +19,21 @@ expected return from s on; the action value Q(s,a) is the expected return if a i
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
 action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal the learning rates, and the weight c of a bonus for randomness (entropy), to 0.
+  1. Anneal, linearly to 0: the learning rates, and the weight c of a bonus for entropy.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a),
-     whose mean over the actions of π is V(s); least squares finds that mean.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
+     of Q(s,a); its mean over the actions of π is V(s), which is what least squares fits.
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-REINFORCE needs the returns of whole episodes. A2C bootstraps: the critic's estimate stands for the
-rewards to come, so A2C learns before an episode ends. In A3C [1] workers update shared weights
-without waiting for each other; A2C waits for all environments, and GAE [2] replaces n-step returns.
+REINFORCE, the plainest policy gradient, needs whole episodes. A2C bootstraps: V stands for rewards
+that are still to come, so it learns before an episode ends. It is A3C [1], in which workers update
+shared weights without waiting, made synchronous, with GAE [2] in place of n-step returns.
 The rest are implementation details: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
-layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, against settling too early.
+layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus: it keeps π from settling early.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -90,7 +90,7 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its mode."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
@@ -166,7 +166,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends with δ_t where A_{t+1} belongs to another episode or is unknown. In that δ_t:
+    The sum ends with the last δ_t of an episode or of the rollout. In this δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
@@ -175,7 +175,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
     the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of every later step (variance).
+    discounted V there, minus V(s_t); less bias, but the luck of all later steps (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -191,8 +191,8 @@ def policy_loss(log_probs, advantages):
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
     parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. The parameters influence nothing but the choice of
-    actions. The objective is J = E[V(s_0)].
+    they lead to, r and the next state s'. The parameters influence only the choice of actions,
+    so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -218,7 +218,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
-    for network in agent.actor, agent.critic:  # so that a large gradient of one slows only that one
+    for network in agent.actor, agent.critic:  # a large gradient of one must not slow both
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
@@ -230,11 +230,11 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
 def make_optimizer(agent):
     """Adam for actor and critic; `train` sets how fast they learn."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # smaller steps if gradients are < 1e-5
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps gradients < 1e-5
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
+    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -302,7 +302,7 @@ def parse_args(argv=None):
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
     add("--entropy-coef", type=number(float, 0), default=0.01, help="initial weight of the entropy")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="largest norm of a gradient")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="largest gradient norm")
     add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
@@ -325,7 +325,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=False, **kwargs):
-    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.RecordEpisodeStatistics, *([RandomPhysics] if randomize else [])], **kwargs)
@@ -342,7 +342,7 @@ def make_seeds(seed, stream, count):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each environment, from the same starts at every call."""
+    """One episode of deterministic actions in each environment; the same first states each time."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
@@ -382,16 +382,16 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    # The loop begins by repeating the last evaluation; without --resume, this one:
-    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    first_step, seconds = 0, 0.0
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
         agent.load_state_dict(checkpoint["agent"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
-        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()
-    first_step, seconds = last["env_step"], last["seconds"]
+        last = tables["evals"].pop()  # the loop begins by repeating it
+        first_step, seconds = last["env_step"], last["seconds"]
+        torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
@@ -446,7 +446,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. Options not given: the checkpoint's (not its device) or defaults."""
+    """Check options and task. A checkpoint's options (not its device) become the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

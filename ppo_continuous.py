@@ -9,7 +9,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, the five agents that we trained balanced it through every episode of an evaluation.
+a minute, the agents of the seeds 1 to 5 balance it through every episode of an evaluation.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -21,19 +21,19 @@ action is than what π does on average. If A > 0, the action is made more likely
 
   1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
-  3. Scale the rewards: divide them by a running standard deviation of discounted returns.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a),
-     whose mean over the actions of π is V(s); least squares finds that mean.
+  3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
+     of Q(s,a); its mean over the actions of π is V(s), which is what least squares fits.
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
      shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, slow down the next updates and go to 6.
      If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-From PPO [1]: rollouts, GAE [2], epochs, the loss, an annealed σ, steps that adapt to the KL.
-The rest are implementation details: learning-rate annealing, observation normalisation and
+From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, steps that adapt to the KL.
+The rest are implementation details, many described in [4]: observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
-layer of π, tanh squashing, and a KL limit that ends an update. Many are described in [4].
+layer of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
@@ -94,14 +94,14 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its mode."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded. log π is that of the former: tanh would cancel in ρ."""
+    """Unbounded actions (N, K) -> bounded. log π is of the unbounded: tanh would cancel in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -169,14 +169,13 @@ def rollout(envs, agent, obs, args, env_step):
 
 
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
-    """Step 3: divide rewards (T, N) by a running standard deviation of discounted returns.
+    """Step 3: divide rewards (T, N) by a running standard deviation of their discounted sums F.
 
-    Then the critic's targets have a similar spread in all tasks. Returns lie in the future, so that
-    of F, which discounts past rewards in the same way, stands in for theirs:
+    Then the critic's targets, discounted sums of later rewards, vary about as much in every task.
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    `past_return` (N,) is F_{t−1} of the first step; that of the next rollout is returned, too.
+    `past_return`, F_{t−1} at the first step, is (N,) or 0; its next value is returned, too.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -193,7 +192,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends with δ_t where A_{t+1} belongs to another episode or is unknown. In that δ_t:
+    The sum ends with the last δ_t of an episode or of the rollout. In this δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
@@ -202,7 +201,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
     the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of every later step (variance).
+    discounted V there, minus V(s_t); less bias, but the luck of all later steps (variance).
     """
     deltas = rewards + gamma * (1 - terminated) * next_values - values
     advantages = torch.empty_like(deltas)
@@ -218,8 +217,8 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
     parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. The parameters influence nothing but the choice of
-    actions. The objective is J = E[V(s_0)].
+    they lead to, r and the next state s'. The parameters influence only the choice of actions,
+    so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -234,8 +233,8 @@ def policy_loss(ratio, advantages, clip_eps):
     At π = π_old the gradient of mean(ρ·A), the surrogate, estimates what remains, up to scale.
     Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
     away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
-    no gradient. Where ρ has gone the wrong way, min selects the unclipped term, which leads back.
-    Other samples may still push ρ further out; that is what max_kl is for.
+    no gradient left. Where ρ has gone the wrong way, min selects the unclipped term, which leads
+    back. Other samples may still push ρ further out; that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -245,7 +244,7 @@ def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
 
     E_old is a mean over actions of π_old. Adding ρ − 1 does not change it, as E_old[ρ − 1] =
-    ∫ π_old·(π/π_old) da − 1 = 0, but makes no term negative and, near ρ = 1, removes most noise.
+    ∫ π_old·(π/π_old) da − 1 = 0, but makes every term ≥ 0 and, near ρ = 1, removes most noise.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
@@ -271,7 +270,7 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """Metrics of the whole rollout: of π after the update, A not standardised; of V before it."""
+    """Metrics of the whole rollout: of π after the update, with A as it is; of V before it."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
@@ -290,7 +289,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
+    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []
@@ -307,7 +306,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
         # Step 4: estimate advantages and targets, which are constants in the losses.
         with torch.no_grad():
-            batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)
+            batch.log_probs = agent.policy(batch.obs).log_prob(batch.actions)  # log π_old
             values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
@@ -315,7 +314,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # An update that was cut short calls for smaller steps, so that more of them fit.
+        # Smaller steps after an update that was cut short; else slowly back to full size.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
         # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
@@ -374,7 +373,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
@@ -392,7 +391,7 @@ def make_seeds(seed, stream, count):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each environment, from the same starts at every call."""
+    """One episode of deterministic actions in each environment; the same first states each time."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
@@ -431,16 +430,16 @@ def run(index, args, folder):
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
-    # The loop begins by repeating the last evaluation; without --resume, this one:
-    tables = {"evals": [{"env_step": 0, "seconds": 0.0}], "episodes": [], "metrics": []}
+    tables = {"evals": [], "episodes": [], "metrics": []}
+    first_step, seconds = 0, 0.0
     if args.resume:
         checkpoint = torch.load(args.resume, "cpu", weights_only=True)
         agent.load_state_dict(checkpoint["agent"])
         optimizer.load_state_dict(checkpoint["optimizer"])
         tables = checkpoint["tables"]
-        torch.manual_seed(make_seeds(seed, 2 + tables["evals"][-1]["env_step"], count=1)[0])
-    last = tables["evals"].pop()
-    first_step, seconds = last["env_step"], last["seconds"]
+        last = tables["evals"].pop()  # the loop begins by repeating it
+        first_step, seconds = last["env_step"], last["seconds"]
+        torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
     parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
@@ -495,7 +494,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. Options not given: the checkpoint's (not its device) or defaults."""
+    """Check options and task. A checkpoint's options (not its device) become the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

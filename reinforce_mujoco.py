@@ -8,21 +8,21 @@
 
     python reinforce_mujoco.py --seed 1 2 3
 
-trains three agents in parallel to balance a pole on a cart. Every step that the pole stands earns
-1, for at most 1000 steps. After 100,000 steps, within a minute, each of the five agents that we
-trained earned all 1000 in evaluation, where it takes the mean of π instead of a random action.
+trains three agents in parallel to balance a pole on a cart. Each step with the pole upright earns
+1, for at most 1000 steps. After 100,000 steps, within a minute, the agents of the seeds 1 to 5 all
+earn 1000 in evaluation, where they take the mean of π instead of a random action.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
 answers with a reward r and the next state, until the episode ends. The goal is a high return, the
-discounted sum of rewards; so actions are made more likely in proportion to the return after them:
+sum of rewards. So an action is made more likely in proportion to the return that followed it:
 
   1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
   3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
-     reward 1 / (1 − γ) = 50 steps later counts only γ^50 ≈ 0.36, which lowers the noise. After the
-     last step, G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were
-     still to come, and G_T = V(s_T), as predicted by a second network, the critic [3].
+     reward 50 steps later counts only γ^50 ≈ 0.36, which makes G less noisy. After the last step,
+     G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were still to
+     come, and G_T = V(s_T), as predicted by a second network, the critic [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
@@ -30,9 +30,9 @@ discounted sum of rewards; so actions are made more likely in proportion to the 
   5. Take an Adam step, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
      Discard the batch: the next update needs actions of the new π. Repeat from 1.
 
-This is REINFORCE [1] with a baseline, crediting each action only with later rewards [2]. The rest
-are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on σ,
-orthogonal initialisation with a small last layer of π, a factor γ^t left out (see `policy_loss`).
+This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
+rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
+σ, orthogonal initialisation with a small last layer of π, a factor γ^t left out (`policy_loss`).
 The environment clips actions to its bounds; log π is that of the action before clipping. The critic
 is trained with every baseline, as step 3 needs it.
 
@@ -94,7 +94,7 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its likeliest."""
+        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its mode."""
         policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
         actions = policy.mode if deterministic else policy.sample()
         return actions.cpu().numpy()
@@ -116,7 +116,7 @@ def rollout(envs, agent, args, env_step):
     """Steps 2 and 3: whole episodes, one after the other. `envs` is a vector of one environment.
 
     Returns the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and return and
-    length of each episode. `env_step` counts the steps before.
+    length of each episode. `env_step` counts the steps so far.
     """
     steps, returns, episodes = [], [], []
     for _ in range(args.batch_episodes):
@@ -159,8 +159,8 @@ def policy_loss(log_probs, advantages):
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
     over all that is random: the first state s_0, the actions, and what they lead to, r and the next
-    state s'. The weights influence nothing but the choice of actions. The objective is
-    J = E[V(s_0)]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
+    state s'. The weights influence only the choice of actions, so ∇Q = E[γ·∇V(s')]. The
+    objective is J = E[V(s_0)]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -174,13 +174,13 @@ def policy_loss(log_probs, advantages):
     mean over steps, instead of a sum, makes the scale of the loss independent of their number.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
-    the mean of the estimate stays as it is. A good baseline removes much of its noise. If all
+    the mean of the estimate does not change. A good baseline removes much of its noise. If all
     returns are positive, then without a baseline every action that was tried is made more likely,
     bad ones just by less. With b = V, those that turned out worse than expected become less likely.
 
-    Two biases shrink as batches grow: the baseline `mean` and the number of steps B, by which the
-    sum is divided, depend on the actions. One does not: at a time limit, G_T is only the critic's
-    estimate.
+    Small biases remain. The baseline `mean` depends on the actions, and so does the number of steps
+    by which the sum is divided; the larger the batch, the less. And at a time limit, G_T is only
+    the critic's estimate.
     """
     return -(advantages * log_probs).mean()
 
@@ -200,8 +200,8 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields `env_step` and new rows of episodes and metrics: at once, then after each update."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # seeds it; `rollout` resets again
+    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
+    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # sets its seed; `rollout` resets it again
     env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -257,7 +257,7 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments, limited to 10,000 steps if without a limit. NaN or inf: ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
         gym.wrappers.ClipAction], **kwargs)
@@ -274,7 +274,7 @@ def make_seeds(seed, stream, count):
 
 
 def evaluate(agent, envs, seed):
-    """One deterministic episode in each environment, from the same starts at every call."""
+    """One episode of deterministic actions in each environment; the same first states each time."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, lengths = np.zeros((2, envs.num_envs))
     playing = np.ones(envs.num_envs, dtype=bool)
@@ -368,7 +368,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. Options not given: the checkpoint's or defaults."""
+    """Check options and task. A checkpoint's options become the defaults."""
     args = parser.parse_args(argv)
     if path := args.watch:
         try:
