@@ -286,9 +286,9 @@ def steps_axis(axis):
 
 
 def in_bins(data, y, by, count=20):
-    """Means of `y` in bins of steps, per seed: not all seeds have rows at the same steps."""
+    """Moved to the nearest of `count` even steps: not all seeds have rows at the same ones."""
     width = data.groupby(by)["env_step"].transform("max") / count
-    data = data.assign(env_step=np.ceil(data["env_step"] / width) * width)
+    data = data.assign(env_step=np.round(data["env_step"] / width) * width)
     by = [*np.atleast_1d(by), "seed", "env_step"]
     return data.groupby(by, sort=False)[y].mean().reset_index()
 
