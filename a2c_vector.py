@@ -9,7 +9,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
-agents of the seeds 1 to 10 earned 209 to 267 on average in evaluation; 200 counts as solved.
+agents of the seeds 1 to 10 earn 209 to 267 in the last evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the

@@ -9,7 +9,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, the agents of the seeds 1 to 5 balance it through every episode of an evaluation.
+a minute, the agents of the seeds 1 to 5 balance it in every episode of the last evaluation.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the

@@ -10,7 +10,7 @@
 
 trains three agents in parallel to balance a pole on a cart. Each step with the pole upright earns
 1, for at most 1000 steps. After 100,000 steps, within a minute, the agents of the seeds 1 to 5 all
-earn 1000 in evaluation, where they take the mean of π instead of a random action.
+earn 1000 in the last evaluation, where they take the mean of π instead of a random action.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
