@@ -9,7 +9,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
-agents of the seeds 1 to 10 earn 209 to 267 in the last evaluation; 200 counts as solved.
+agents with seeds 1 to 10 earn 209 to 267 in the last evaluation; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -23,7 +23,7 @@ action is than what π does on average. If A > 0, the action is made more likely
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
-     of Q(s,a); its mean over the actions of π is V(s), which is what least squares fits.
+     of Q(s,a), whose mean over the actions of π is V(s): this is what least squares fits.
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -140,7 +140,7 @@ def rollout(envs, agent, obs, args, env_step):
 
     Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
     length of each episode that ended. The environments do not reset themselves, so `next_obs` is
-    always what followed the action, even at the end of an episode. `env_step` counts steps before.
+    always what followed the action, even at the end of an episode. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -191,8 +191,8 @@ def policy_loss(log_probs, advantages):
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
     parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. The parameters influence only the choice of actions,
-    so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    they lead to, r and the next state s'. Given s and a, r and s' do not depend on the
+    parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -222,13 +222,13 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # R − V = A. 1: perfect up to a constant; 0: no better than a constant; < 0: worse.
+               # R − V = A; 1 is perfect up to a constant, 0 no better than a constant, < 0 worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
 
 def make_optimizer(agent):
-    """Adam for actor and critic; `train` sets how fast they learn."""
+    """Adam for actor and critic; `train` sets the learning rates."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
     return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps gradients < 1e-5
 
@@ -256,7 +256,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Step 5: update actor and critic.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         metrics = optimise(agent, optimizer, batch, args, entropy_coef)
-        # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
+        # Step 6: update `obs_stats` last, so that steps 2 to 5 normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]

@@ -9,7 +9,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, the agents of the seeds 1 to 5 balance it in every episode of the last evaluation.
+a minute, the agents with seeds 1 to 5 balance it in every episode of the last evaluation.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -23,20 +23,20 @@ action is than what π does on average. If A > 0, the action is made more likely
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
-     of Q(s,a); its mean over the actions of π is V(s), which is what least squares fits.
+     of Q(s,a), whose mean over the actions of π is V(s): this is what least squares fits.
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, slow down the next updates and go to 6.
+     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower the next learning rates, go to 6.
      If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, steps that adapt to the KL.
+From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
 The rest are implementation details, many described in [4]: observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
 layer of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
-    ρ ratio, ε clip_eps, μ and σ mean and standard deviation of π.
+    ρ ratio, ε clip_eps, μ (the actor's output) and σ mean and standard deviation of π.
 Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
@@ -79,7 +79,7 @@ class Agent(nn.Module):
         # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.return_stats = RunningStatistics(())  # for `scale_rewards`, and saved with the rest
+        self.return_stats = RunningStatistics(())  # for `scale_rewards`; here to be saved
         self.register_buffer("std", torch.tensor(args.first_std))  # the same for all s; annealed
 
     def policy(self, obs):
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded. log π is of the unbounded: tanh would cancel in ρ."""
+    """Unbounded actions (N, K) -> bounded, in `envs`. log π is without tanh: it cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -149,7 +149,7 @@ def rollout(envs, agent, obs, args, env_step):
 
     Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
     length of each episode that ended. The environments do not reset themselves, so `next_obs` is
-    always what followed the action, even at the end of an episode. `env_step` counts steps before.
+    always what followed the action, even at the end of an episode. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -171,7 +171,7 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of their discounted sums F.
 
-    Then the critic's targets, discounted sums of later rewards, vary about as much in every task.
+    Then the critic's targets, discounted sums of later rewards, have a similar scale in every task.
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
@@ -217,8 +217,8 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
     parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. The parameters influence only the choice of actions,
-    so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    they lead to, r and the next state s'. Given s and a, r and s' do not depend on the
+    parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -230,7 +230,7 @@ def policy_loss(ratio, advantages, clip_eps):
     is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
     as much as early ones; strictly, what remains is not ∇J.
 
-    At π = π_old the gradient of mean(ρ·A), the surrogate, estimates what remains, up to scale.
+    At π_old the gradient of mean(ρ·A), the surrogate, estimates the sum without γ^t, up to scale.
     Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
     away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
     no gradient left. Where ρ has gone the wrong way, min selects the unclipped term, which leads
@@ -270,13 +270,13 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """Metrics of the whole rollout: of π after the update, with A as it is; of V before it."""
+    """Metrics of the whole rollout: π after the update, A not standardised; V before the update."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # R − V = A. 1: perfect up to a constant; 0: no better than a constant; < 0: worse.
+               # R − V = A; 1 is perfect up to a constant, 0 no better than a constant, < 0 worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -284,7 +284,7 @@ def diagnose(agent, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam for actor and critic; `train` sets how fast they learn."""
+    """Adam for actor and critic; `train` sets the learning rates."""
     return torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
 
 
@@ -317,7 +317,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         # Smaller steps after an update that was cut short; else slowly back to full size.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
-        # Step 6: update the statistics last, so that steps 2 to 5 normalise in the same way.
+        # Step 6: update `obs_stats` last, so that steps 2 to 5 normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
         yield env_step, episodes, [{"env_step": env_step, **metrics}]

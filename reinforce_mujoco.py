@@ -9,7 +9,7 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents in parallel to balance a pole on a cart. Each step with the pole upright earns
-1, for at most 1000 steps. After 100,000 steps, within a minute, the agents of the seeds 1 to 5 all
+1, for at most 1000 steps. After 100,000 steps, within a minute, the agents with seeds 1 to 5 all
 earn 1000 in the last evaluation, where they take the mean of π instead of a random action.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
@@ -159,7 +159,7 @@ def policy_loss(log_probs, advantages):
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
     over all that is random: the first state s_0, the actions, and what they lead to, r and the next
-    state s'. The weights influence only the choice of actions, so ∇Q = E[γ·∇V(s')]. The
+    state s'. Given s and a, r and s' do not depend on the weights, so ∇Q = E[γ·∇V(s')]. The
     objective is J = E[V(s_0)]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
