@@ -253,7 +253,7 @@ def table(header, rows):
 
 
 def number(x, digits=1):
-    return f"{x:,.{digits}f}".replace("-", "−")
+    return f"{round(x, digits) + 0.0:,.{digits}f}".replace("-", "−")  # + 0.0: no "−0"
 
 
 def spread(values, digits=1):
