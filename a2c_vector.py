@@ -19,7 +19,7 @@ expected return from s on; the action value Q(s,a) is the expected return if a i
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
 action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal, linearly to 0: the learning rates, and the weight c of a bonus for entropy.
+  1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
@@ -29,8 +29,8 @@ action is than what π does on average. If A > 0, the action is made more likely
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C bootstraps: V stands for rewards
-that are still to come, so it learns before an episode ends. It is A3C [1], in which workers update
-shared weights without waiting, made synchronous, with GAE [2] in place of n-step returns.
+still to come, so it learns before an episode ends. In A3C [1] workers update shared weights without
+waiting for each other; A2C waits for all of them, here with GAE [2] in place of n-step returns.
 The rest are implementation details: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
 layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus: it keeps π from settling early.
@@ -234,7 +234,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
+    """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     yield env_step, [], []
     while env_step < args.total_steps:

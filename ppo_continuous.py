@@ -289,7 +289,7 @@ def make_optimizer(agent):
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
-    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
+    """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
     obs, _ = envs.reset(seed=make_seeds(seed, 2 + env_step, args.num_envs))
     past_return, pace = 0.0, 1.0
     yield env_step, [], []

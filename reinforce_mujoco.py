@@ -116,7 +116,7 @@ def rollout(envs, agent, args, env_step):
     """Steps 2 and 3: whole episodes, one after the other. `envs` is a vector of one environment.
 
     Returns the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and return and
-    length of each episode. `env_step` counts the steps so far.
+    length of each episode. `env_step`: steps taken before.
     """
     steps, returns, episodes = [], [], []
     for _ in range(args.batch_episodes):
@@ -200,7 +200,7 @@ def optimise(agent, optimizer, batch, args):
 
 
 def train(args, seed, envs, agent, optimizer):
-    """Yields `env_step`, new rows of episodes and metrics: before training, after each update."""
+    """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))  # sets its seed; `rollout` resets it again
     env_step = 0
     yield env_step, [], []

@@ -196,6 +196,14 @@ def test_what_is_in_docs_is_up_to_date():
     assert reports.stale(STUDIES) == []
 
 
+def test_a_curve_has_each_evaluation_where_it_was_made():
+    data = pd.DataFrame({"env_id": "World", "seed": 1, "env_step": [0, 51, 99, 151, 200],
+                         "return_mean": [1.0, 2, 3, 4, 5]})
+    curve = common.in_bins(data, "return_mean", "env_id", count=4)
+    assert curve["env_step"].tolist() == [0, 50, 100, 150, 200]
+    assert curve["return_mean"].tolist() == [1, 2, 3, 4, 5]
+
+
 def test_the_interval_of_a_difference_is_that_of_student_and_welch():
     pytest.importorskip("scipy")
     a, b = [1.0, 2, 3, 4, 5], [2.0, 3, 4, 5, 6]

@@ -286,7 +286,7 @@ def steps_axis(axis):
 
 
 def in_bins(data, y, by, count=20):
-    """Moved to the nearest of `count` even steps: not all seeds have rows at the same ones."""
+    """Means of `y` per seed at `count` even steps: each row counts for the nearest of these."""
     width = data.groupby(by)["env_step"].transform("max") / count
     data = data.assign(env_step=np.round(data["env_step"] / width) * width)
     by = [*np.atleast_1d(by), "seed", "env_step"]
