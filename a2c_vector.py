@@ -22,8 +22,8 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
-     of Q(s,a), whose mean over the actions of π is V(s): this is what least squares fits.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), and
+     least squares fits the mean of R in each state: the mean of Q over the actions of π is V.
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -190,9 +190,9 @@ def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (T·N,). The gradient estimates −∇J, up to scale and γ^t.
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. Given s and a, r and s' do not depend on the
-    parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    parameters of π; E averages over what is random once the left-hand side is given: the first
+    state s_0, the actions, the rewards r and the next states s'. Given s and a, the distribution of
+    r and s' does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -335,8 +335,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=Fal
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
+    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -22,10 +22,10 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate
-     of Q(s,a), whose mean over the actions of π is V(s): this is what least squares fits.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), and
+     least squares fits the mean of R in each state: the mean of Q over the actions of π is V.
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower the next learning rates, go to 6.
+     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower later learning rates, go to 6.
      If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded, in `envs`. log π is without tanh: it cancels in ρ."""
+    """Unbounded actions (N, K) -> bounded, in `envs`. log π leaves out tanh, as ρ is the same."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -216,9 +216,9 @@ def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over all that is random: the first state s_0, the actions, and what
-    they lead to, r and the next state s'. Given s and a, r and s' do not depend on the
-    parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    parameters of π; E averages over what is random once the left-hand side is given: the first
+    state s_0, the actions, the rewards r and the next states s'. Given s and a, the distribution of
+    r and s' does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -230,7 +230,7 @@ def policy_loss(ratio, advantages, clip_eps):
     is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
     as much as early ones; strictly, what remains is not ∇J.
 
-    At π_old the gradient of mean(ρ·A), the surrogate, estimates the sum without γ^t, up to scale.
+    At π = π_old the gradient of the surrogate mean(ρ·A) estimates ∇J without γ^t, up to a factor.
     Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
     away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
     no gradient left. Where ρ has gone the wrong way, min selects the unclipped term, which leads
@@ -384,8 +384,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
+    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -158,9 +158,10 @@ def policy_loss(log_probs, advantages):
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
-    over all that is random: the first state s_0, the actions, and what they lead to, r and the next
-    state s'. Given s and a, r and s' do not depend on the weights, so ∇Q = E[γ·∇V(s')]. The
-    objective is J = E[V(s_0)]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
+    over what is random once the left-hand side is given: the first state s_0, the actions, the
+    rewards r and the next states s'. Given s and a, the distribution of r and s' does not depend on
+    the weights, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)]. Then (the policy gradient
+    theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -267,8 +268,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and actions, 1 for
-    evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
+    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -38,7 +38,8 @@ IDEAS = {
     REINFORCE: "make actions more likely in proportion to the return that followed them",
     A2C: "the critic's prediction stands in for rewards that have not come yet, so that learning "
          "need not wait for the end of an episode; many environments at once",
-    PPO: "A2C with several gradient steps on the same data, kept small",
+    PPO: "A2C that takes several gradient steps on the same data, but keeps the policy close to the "
+         "one that collected it",
 }
 
 
@@ -92,7 +93,7 @@ def report(data, draw):
         "a2c": successes(last[last["script"] == A2C]),
         "pendulum": successes(last[last["script"].eq(PPO) & last["part"].isin((DEFAULT, MORE))]),
         "usual": common.table(["file", "its idea", "task", "last return, mean ± std", "every seed",
-                                "steps", "minutes, two seeds at a time"], usual),
+                                "steps", "minutes a run, two at a time"], usual),
     }
 
 
