@@ -38,8 +38,8 @@ IDEAS = {
     REINFORCE: "make actions more likely in proportion to the return that followed them",
     A2C: "the critic's prediction stands in for rewards that have not come yet, so that learning "
          "need not wait for the end of an episode; many environments at once",
-    PPO: "A2C that takes several gradient steps on the same data, but keeps the policy close to the "
-         "one that collected it",
+    PPO: "A2C that takes several gradient steps on the same data, but keeps the policy close to "
+         "the one that collected it",
 }
 
 

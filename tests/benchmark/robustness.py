@@ -56,7 +56,8 @@ def report(data, draw):
         for name in USUAL, RANDOM:
             rows[name].append(spread(agents[name])[0])
         gap, error, margin = common.difference(agents[RANDOM], agents[USUAL])
-        rows["gap"].append(f"{number(gap)} ± {number(margin)} ({number(gap / error)} standard errors)")
+        errors = number(gap / error)
+        rows["gap"].append(f"{number(gap)} ± {number(margin)} ({errors} standard errors)")
     draw(maps(data), "robustness")
     worlds = data.pivot_table(index="gravity", columns="part", values="return_mean")
     gaps = (worlds[RANDOM] - worlds[USUAL]).sort_index(ascending=False)
