@@ -22,8 +22,8 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), and
-     least squares fits the mean of R in each state: the mean of Q over the actions of π is V.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
+     mean over the actions of π is V(s), and it is the mean of R that least squares fits.
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
      shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower later learning rates, go to 6.
      If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded, in `envs`. log π leaves out tanh, as ρ is the same."""
+    """Unbounded actions (N, K) -> bounded, in `envs`. log π leaves out tanh: it cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
