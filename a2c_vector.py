@@ -22,8 +22,8 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
-     mean over the actions of π is V(s), and it is the mean of R that least squares fits.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a). Least
+     squares fits the mean of R given s: that of Q(s,a) over the actions of π, which is V(s).
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -97,7 +97,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension."""
+    """Mean and variance of all rows seen so far, for each dimension; 0 and 1 before the first."""
 
     def __init__(self, shape):
         super().__init__()
@@ -190,9 +190,9 @@ def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (T·N,). The gradient estimates −∇J, up to scale and γ^t.
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over what is random once the left-hand side is given: the first
-    state s_0, the actions, the rewards r and the next states s'. Given s and a, the distribution of
-    r and s' does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    parameters of π; E averages over all that the left-hand side leaves open: the first state s_0,
+    the actions, the rewards r and the next states s'. Given s and a, the distribution of r and s'
+    does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -210,7 +210,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Like V, the mean is a baseline that lowers the noise; dividing sets the scale to 1.
+    # Like V, the mean is a baseline; dividing by the standard deviation sets the scale.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
@@ -284,7 +284,7 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps per agent")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
@@ -335,8 +335,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=Fal
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
-    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
+    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -22,10 +22,10 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a), whose
-     mean over the actions of π is V(s), and it is the mean of R that least squares fits.
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a). Least
+     squares fits the mean of R given s: that of Q(s,a) over the actions of π, which is V(s).
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π) exceeds max_kl, lower later learning rates, go to 6.
+     shuffled transitions: if KL(π_old ‖ π) > max_kl, lower the learning rate for a while, go to 6.
      If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -106,7 +106,7 @@ def squash(actions, space):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension."""
+    """Mean and variance of all rows seen so far, for each dimension; 0 and 1 before the first."""
 
     def __init__(self, shape):
         super().__init__()
@@ -171,11 +171,11 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of their discounted sums F.
 
-    Then the critic's targets, discounted sums of later rewards, have a similar scale in every task.
+    Then the scale of the critic's targets, discounted sums of later rewards, varies less by task.
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    `past_return`, F_{t−1} at the first step, is (N,) or 0; its next value is returned, too.
+    `past_return`, (N,) or 0, is F_{t−1} of the first step; that of the next call is returned, too.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -213,12 +213,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(ratio, advantages, clip_eps):
-    """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (M,) ([1] eq. 7).
+    """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over what is random once the left-hand side is given: the first
-    state s_0, the actions, the rewards r and the next states s'. Given s and a, the distribution of
-    r and s' does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    parameters of π; E averages over all that the left-hand side leaves open: the first state s_0,
+    the actions, the rewards r and the next states s'. Given s and a, the distribution of r and s'
+    does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -241,7 +241,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def approximate_kl(log_ratio):
-    """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (M,).
+    """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (B,).
 
     E_old is a mean over actions of π_old. Adding ρ − 1 does not change it, as E_old[ρ − 1] =
     ∫ π_old·(π/π_old) da − 1 = 0, but makes every term ≥ 0 and, near ρ = 1, removes most noise.
@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # Like V, the mean is a baseline that lowers the noise; dividing sets the scale to 1.
+            # Like V, the mean is a baseline; dividing by the standard deviation sets the scale.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -332,7 +332,7 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps per agent")
+    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps, at least")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
@@ -384,8 +384,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
-    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
+    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

@@ -148,7 +148,7 @@ def discounted_returns(rewards, last_value, gamma):
 
 
 def compute_advantages(returns, values, baseline):
-    """Step 4: A = G − b; all (B,). `detach` keeps the policy loss from training the critic."""
+    """Step 4: A = G − b; A, G: (B,). `detach` keeps the policy loss from training the critic."""
     baselines = {"none": 0.0, "mean": returns.mean(), "value": values.detach()}
     return returns - baselines[baseline]
 
@@ -158,10 +158,10 @@ def policy_loss(log_probs, advantages):
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
-    over what is random once the left-hand side is given: the first state s_0, the actions, the
-    rewards r and the next states s'. Given s and a, the distribution of r and s' does not depend on
-    the weights, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)]. Then (the policy gradient
-    theorem, [2] sections 13.2 and 13.3)
+    over all that the left-hand side leaves open: the first state s_0, the actions, the rewards r
+    and the next states s'. Given s and a, the distribution of r and s' does not depend on the
+    weights, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)]. Then (the policy gradient theorem,
+    [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -170,17 +170,17 @@ def policy_loss(log_probs, advantages):
            = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        ∇V(s') unrolled over time
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
-    So an action is made more likely in proportion to the return that followed it. As usual γ^t is
-    left out, so that late steps count as much as early ones; strictly, what remains is not ∇J. A
-    mean over steps, instead of a sum, makes the scale of the loss independent of their number.
+    As usual, γ^t is left out, so that late steps count as much as early ones; strictly, what
+    remains is not ∇J. A mean over steps, instead of a sum, makes the scale of the loss independent
+    of their number.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
     the mean of the estimate does not change. A good baseline removes much of its noise. If all
-    returns are positive, then without a baseline every action that was tried is made more likely,
-    bad ones just by less. With b = V, those that turned out worse than expected become less likely.
+    returns are positive, then without a baseline every action that was tried is pushed up, bad ones
+    just by less. With b ≈ V, those that turned out worse than expected are pushed down.
 
     Small biases remain. The baseline `mean` depends on the actions, and so does the number of steps
-    by which the sum is divided; the larger the batch, the less. And at a time limit, G_T is only
+    that the loss is averaged over; larger batches reduce both biases. At a time limit, G_T is only
     the critic's estimate.
     """
     return -(advantages * log_probs).mean()
@@ -202,7 +202,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed, envs, agent, optimizer):
     """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # sets its seed; `rollout` resets it again
+    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # seeds it; `rollout` resets it again
     env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -225,7 +225,7 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps per agent")
+    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps, at least")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
@@ -268,8 +268,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for weights and (if training
-    is not resumed) actions, 1 for evaluations, 2 + k for training that begins at step k.
+    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
+    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
