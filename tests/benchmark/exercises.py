@@ -45,15 +45,23 @@ def measure(job):
 
 
 def report(data, draw):
+    from scipy.stats import ttest_ind
+
     last = common.last_rows(data)
-    rows = []
+    rows, unchanged = [], None
     for name in CHANGES:
         x = last[last["part"] == name]
         returns = [", ".join(number(y, 0) for y in x[column])
                    for column in ("return_mean", "train_return")]
+        p = "–"
+        if "as it is" in name:
+            unchanged = x["return_mean"]
+        elif unchanged.std() > 0:  # else Welch's test does not apply
+            p = number(ttest_ind(x["return_mean"], unchanged, equal_var=False).pvalue, 3)
+            p = p.replace("0.000", "< 0.001")
         metrics = ["–" if x[column].isna().all() else number(x[column].median(), 3)
                    for column in METRICS]
-        rows.append([name, *returns, *metrics])
-    header = ["exercise", "return in evaluation, each seed", "in training, last 100 episodes",
-              *(f"`{column}`" for column in METRICS)]
+        rows.append([name, *returns, p, *metrics, number(x["seconds"].median() / 60)])
+    header = ["exercise", "return in evaluation, each seed", "in training, last 100 episodes", "p",
+              *(f"`{column}`" for column in METRICS), "minutes"]
     return {"answers": common.table(header, rows)}
