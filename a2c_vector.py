@@ -28,12 +28,12 @@ action is than what π does on average. If A > 0, the action is made more likely
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
-REINFORCE, the plainest policy gradient, needs whole episodes. A2C bootstraps: V stands for rewards
-still to come, so it learns before an episode ends. In A3C [1] workers update shared weights without
-waiting for each other; A2C waits for all of them, here with GAE [2] in place of n-step returns.
+REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
+stands in for rewards still to come (bootstrapping). In A3C [1] workers update shared weights
+without waiting for each other; A2C waits for all of them, here with GAE [2].
 The rest are implementation details: learning-rate annealing, observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
-layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus: it keeps π from settling early.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last layer
+of π, gradient clipping, Adam's eps, and A3C's bonus for the entropy of π, a measure of its noise.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -187,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T·N,). The gradient estimates −∇J, up to scale and γ^t.
+    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J, scaled, without γ^t.
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
     parameters of π; E averages over all that the left-hand side leaves open: the first state s_0,
@@ -230,7 +230,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
 def make_optimizer(agent):
     """Adam for actor and critic; `train` sets the learning rates."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps gradients < 1e-5
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps steps of gradients < 1e-5
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -267,7 +267,7 @@ class RandomPhysics(gym.Wrapper):
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
-            self.random = np.random.default_rng([seed, 1])  # `seed` alone is the environment's own
+            self.random = np.random.default_rng([seed, 1])  # the environment itself uses `seed`
         self.unwrapped.enable_wind = bool(self.random.integers(2))
         self.unwrapped.gravity = self.random.uniform(-11.99, -7.0)
         self.unwrapped.wind_power = self.random.uniform(0.0, 20.0)
@@ -297,8 +297,8 @@ def parse_args(argv=None):
     add("--randomize", action="store_true", help="LunarLander: train in changing physics")
     add("--rollout-steps", type=number(int, 1), default=64, help="steps per environment")
     add("--reward-scale", type=number(float, 0), default=0.1, help="multiplies rewards in training")
-    add("--learning-rate", type=number(float, 0), default=2e-3, help="of the actor")
-    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="of the critic")
+    add("--learning-rate", type=number(float, 0), default=2e-3, help="initial, actor")
+    add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="initial, critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
     add("--entropy-coef", type=number(float, 0), default=0.01, help="initial weight of the entropy")

@@ -154,7 +154,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, up to scale and γ^t.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, scaled, without γ^t.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
