@@ -32,8 +32,8 @@ REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before
 stands in for rewards still to come (bootstrapping). In A3C [1] workers update shared weights
 without waiting for each other; A2C waits for all of them, here with GAE [2].
 The rest are implementation details: learning-rate annealing, observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last layer
-of π, gradient clipping, Adam's eps, and A3C's bonus for the entropy of π, a measure of its noise.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
+layer of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, which keeps π random.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
