@@ -210,7 +210,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Like V, the mean is a baseline; dividing by the standard deviation sets the scale.
+    # Like V, the mean is (nearly) a baseline; dividing by the std sets the scale.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)

@@ -258,7 +258,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # Like V, the mean is a baseline; dividing by the standard deviation sets the scale.
+            # Like V, the mean is (nearly) a baseline; dividing by the std sets the scale.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
