@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded, in `envs`. log π leaves out tanh: it cancels in ρ."""
+    """Unbounded actions (N, K) -> bounded. log π omits tanh's derivative: it cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
