@@ -37,7 +37,7 @@ layer of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ (the actor's output) and σ mean and standard deviation of π.
-Shapes: T rollout_steps, N num_envs, M minibatch_size, D numbers in an observation, K in an action.
+Shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
@@ -171,7 +171,7 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of their discounted sums F.
 
-    Then the scale of the critic's targets, discounted sums of later rewards, varies less by task.
+    So the critic's targets, discounted sums of later rewards, differ less in scale between tasks.
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 

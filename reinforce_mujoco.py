@@ -202,7 +202,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed, envs, agent, optimizer):
     """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # seeds it; `rollout` resets it again
+    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # for the seed; `rollout` resets again
     env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:

@@ -64,7 +64,8 @@ def report(data, draw):
     last = common.last_rows(data)
     jobs_done = last.groupby("env_id")["seed"].count()
     last = last[last["env_id"].map(jobs_done) == jobs_done.max()]  # the rest is on its way
-    tables, found = {}, {}
+    tables = {table_name(env_id): "Not measured yet with the current files." for env_id in TASKS}
+    found = {}
     for env_id, runs in last.groupby("env_id", sort=False):
         found[env_id] = sorted(effects(runs), key=lambda x: x[2])
         rows = [[name, *spread(x, 0), f"{number(gap, 0)} ± {number(margin, 0)} %"]
@@ -73,9 +74,13 @@ def report(data, draw):
         rows.insert(0, ["defaults", *spread(usual, 0), ""])
         title = f"{env_id}, {TASKS[env_id]:,} steps"
         header = [title, "mean ± std", "every seed", "difference, 95%"]
-        tables[env_id.split("-")[0].lower()] = common.table(header, rows)
+        tables[table_name(env_id)] = common.table(header, rows)
     draw(picture(found), "ablation")
     return tables
+
+
+def table_name(env_id):
+    return env_id.split("-")[0].lower()
 
 
 def picture(found):

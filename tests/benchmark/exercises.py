@@ -57,8 +57,8 @@ def report(data, draw):
         if "as it is" in name:
             unchanged = x["return_mean"]
         elif unchanged.std() > 0:  # else Welch's test does not apply
-            p = number(ttest_ind(x["return_mean"], unchanged, equal_var=False).pvalue, 3)
-            p = p.replace("0.000", "< 0.001")
+            test = ttest_ind(x["return_mean"], unchanged, equal_var=False)
+            p = number(test.pvalue, 3) if test.pvalue >= 0.001 else "< 0.001"
         metrics = ["–" if x[column].isna().all() else number(x[column].median(), 3)
                    for column in METRICS]
         rows.append([name, *returns, p, *metrics, number(x["seconds"].median() / 60)])

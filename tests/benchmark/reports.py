@@ -79,7 +79,7 @@ def write_tables(document, study, tables, source):
         owner, name, _, _ = match.groups()
         if owner != study:
             return match.group()
-        text = f"\n{tables.get(name, 'Not measured yet with the current files.')}\n\n"
+        text = f"\n{tables[name]}\n\n"
         mark = f"{source}-{fingerprint(text)}"
         return f"<!-- report: {owner}.{name} {mark} -->\n{text}<!-- end -->"
 
