@@ -203,12 +203,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
     discounted V there, minus V(s_t); less bias, but the luck of all later steps (variance).
     """
-    deltas = rewards + gamma * (1 - terminated) * next_values - values
-    advantages = torch.empty_like(deltas)
-    advantage = 0.0
-    for t in reversed(range(len(deltas))):
-        advantage = deltas[t] + gamma * gae_lambda * (1 - done[t]) * advantage
-        advantages[t] = advantage
+    advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
+    for t in reversed(range(len(advantages) - 1)):
+        advantages[t] += gamma * gae_lambda * (1 - done[t]) * advantages[t + 1]
     return advantages
 
 
@@ -296,8 +293,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
     while env_step < args.total_steps:
         # Step 1: anneal.
         remaining = 1 - env_step / args.total_steps
-        learning_rate = pace * remaining * args.learning_rate
-        optimizer.param_groups[0]["lr"] = learning_rate
+        optimizer.param_groups[0]["lr"] = pace * remaining * args.learning_rate
         agent.std.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
         # Step 2: collect a rollout.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
@@ -316,7 +312,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         finished = optimise(agent, optimizer, batch, args)
         # Smaller steps after an update that was cut short; else slowly back to full size.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
-        metrics = {"learning_rate": learning_rate, **diagnose(agent, batch, args)}
+        metrics = {"learning_rate": optimizer.param_groups[0]["lr"], **diagnose(agent, batch, args)}
         # Step 6: update `obs_stats` last, so that steps 2 to 5 normalise in the same way.
         agent.obs_stats.update(batch.obs)
         env_step += len(batch.obs)  # T·N
@@ -375,7 +371,7 @@ def number(kind, low, high=1e12):
 def make_envs(env_id, count, autoreset_mode, **kwargs):
     """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
-        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+        lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
     envs = gym.wrappers.vector.TransformAction(envs, partial(squash, space=envs.action_space))
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
@@ -414,8 +410,7 @@ def watch(args):
     if "rgb_array" in envs.metadata["render_modes"]:
         camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, camera, args.seed[0])
-        frames = camera.render()[0]
-        frames = frames[:: len(frames) // 200 + 1]  # ten seconds at most
+        frames = camera.render()[0][::5]  # for a smaller file
         imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
 
 
@@ -441,7 +436,6 @@ def run(index, args, folder):
         first_step, seconds = last["env_step"], last["seconds"]
         torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -456,8 +450,6 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
-            if parent and not parent.is_alive():
-                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
@@ -520,8 +512,8 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
     folder.mkdir(parents=True)
-    versions = {name: version(name) for name in ("torch", "gymnasium", "mujoco", "numpy")}
-    record = {**vars(args), "command": sys.argv, "versions": versions}
+    record = {**vars(args), "command": sys.argv,
+              "versions": {x: version(x) for x in ("torch", "gymnasium", "mujoco", "numpy")}}
     (folder / "args.json").write_text(json.dumps(record, indent=2))
     try:
         if len(args.seed) == 1:

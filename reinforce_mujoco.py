@@ -260,7 +260,7 @@ def number(kind, low, high=1e12):
 def make_envs(env_id, count, autoreset_mode, **kwargs):
     """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
-        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000),
+        lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.ClipAction], **kwargs)
     check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
     envs = gym.wrappers.vector.TransformReward(envs, check_finite)
@@ -298,8 +298,7 @@ def watch(args):
     if "rgb_array" in envs.metadata["render_modes"]:
         camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, camera, args.seed[0])
-        frames = camera.render()[0]
-        frames = frames[:: len(frames) // 200 + 1]  # ten seconds at most
+        frames = camera.render()[0][::5]  # for a smaller file
         imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
 
 
@@ -317,7 +316,6 @@ def run(index, args, folder):
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
@@ -332,8 +330,6 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict()})
-            if parent and not parent.is_alive():
-                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 
@@ -395,8 +391,8 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
     folder.mkdir(parents=True)
-    versions = {name: version(name) for name in ("torch", "gymnasium", "mujoco", "numpy")}
-    record = {**vars(args), "command": sys.argv, "versions": versions}
+    record = {**vars(args), "command": sys.argv,
+              "versions": {x: version(x) for x in ("torch", "gymnasium", "mujoco", "numpy")}}
     (folder / "args.json").write_text(json.dumps(record, indent=2))
     try:
         if len(args.seed) == 1:

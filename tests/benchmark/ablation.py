@@ -49,15 +49,17 @@ measure = common.train
 
 
 def effects(runs):
-    """For each change: its returns, and how they differ from the defaults, in percent of these."""
-    runs = runs.assign(name=runs["part"].str.split(": ").str[1])
-    usual = runs[runs["name"] == "defaults"]["return_mean"]
+    """For each change: returns, and mean and 95% interval of what each seed gains, in percent."""
+    from scipy.stats import ttest_rel
+
+    runs = runs.assign(name=runs["part"].str.split(": ").str[1]).sort_values("seed")
+    usual = runs[runs["name"] == "defaults"]["return_mean"].to_numpy()
     percent = 100 / abs(usual.mean())
     for name in CHANGES:
-        x = runs[runs["name"] == name]["return_mean"]
+        x = runs[runs["name"] == name]["return_mean"].to_numpy()
         if len(x) and name != "defaults":
-            gap, _, margin = common.difference(x, usual)
-            yield name, x, gap * percent, margin * percent
+            low, high = ttest_rel(x, usual).confidence_interval(0.95)
+            yield name, x, (low + high) / 2 * percent, (high - low) / 2 * percent
 
 
 def report(data, draw):
@@ -73,7 +75,7 @@ def report(data, draw):
         usual = runs[runs["part"].str.endswith(": defaults")]["return_mean"]
         rows.insert(0, ["defaults", *spread(usual, 0), ""])
         title = f"{env_id}, {TASKS[env_id]:,} steps"
-        header = [title, "mean ± std", "every seed", "difference, 95%"]
+        header = [title, "mean ± std", "every seed", "gain of each seed, mean and 95%"]
         tables[table_name(env_id)] = common.table(header, rows)
     draw(picture(found), "ablation")
     return tables
