@@ -207,11 +207,17 @@ def test_a_curve_has_each_evaluation_where_it_was_made():
 def test_the_interval_of_a_difference_is_that_of_student_and_welch():
     pytest.importorskip("scipy")
     a, b = [1.0, 2, 3, 4, 5], [2.0, 3, 4, 5, 6]
-    gap, error, margin = common.difference(a, b)
-    assert gap == -1
-    assert error == pytest.approx(1)
+    gap, margin = common.difference(a, b)
+    assert gap == pytest.approx(-1)
     # equal variances of 2.5, so 8 degrees of freedom, of which the table says 2.306
     assert margin == pytest.approx(2.306 * math.sqrt(2.5 / 5 + 2.5 / 5), rel=1e-3)
+
+
+def test_the_interval_of_a_gain_is_that_of_the_pairs():
+    pytest.importorskip("scipy")
+    gap, margin = common.gain([1.0, 2, 3, 4, 5], [0.0, 0, 0, 0, 0])
+    assert gap == pytest.approx(3)
+    assert margin == pytest.approx(2.776 * math.sqrt(2.5 / 5), rel=1e-3)  # 4 degrees of freedom
 
 
 def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
@@ -278,6 +284,13 @@ class TestMerging:
         out = capsys.readouterr().out
         for words in "was cut off", "saved nothing", f"is in {ten_calls[1]}, too", "no run folder":
             assert words in out
+
+    def test_of_runs_that_agree_in_all_the_last_counts(self, ten_calls, tmp_path):
+        newer = copy(ten_calls[0], tmp_path / "newer")
+        (evals,) = newer.glob("*/evals.csv")
+        pd.read_csv(evals).assign(return_mean=7.0).to_csv(evals, index=False)
+        data = merge.collect([ten_calls[0], newer])
+        assert set(data["return_mean"]) == {7.0}
 
     def test_other_flags_lengths_and_changed_copies_get_rows_of_their_own(
             self, ten_calls, tmp_path, capsys):

@@ -80,6 +80,12 @@ def test_the_loop_of_your_own_runs(here, capsys):
     assert re.search(r"\d+ steps, return \d+, KL 0\.\d+", capsys.readouterr().out)
 
 
+def test_the_trained_agent_of_your_code_plays_an_episode(here, capsys):
+    folder = SCRIPTS["ppo_continuous"].train(here, env_id="my_module:Push-v0")
+    exec(snippet("load_state_dict").replace("runs/…/seed-1", str(folder)), {})
+    assert re.fullmatch(r"return: [\d.]+\n", capsys.readouterr().out.splitlines(True)[-1])
+
+
 def test_the_cell_of_the_notebook_that_takes_a_function_apart_gives_discounted_returns():
     setup, last = snippet("compute_gae(rewards").split("\ncompute_gae(")
     scope = {}

@@ -50,16 +50,14 @@ measure = common.train
 
 def effects(runs):
     """For each change: returns, and mean and 95% interval of what each seed gains, in percent."""
-    from scipy.stats import ttest_rel
-
     runs = runs.assign(name=runs["part"].str.split(": ").str[1]).sort_values("seed")
     usual = runs[runs["name"] == "defaults"]["return_mean"].to_numpy()
     percent = 100 / abs(usual.mean())
     for name in CHANGES:
         x = runs[runs["name"] == name]["return_mean"].to_numpy()
         if len(x) and name != "defaults":
-            low, high = ttest_rel(x, usual).confidence_interval(0.95)
-            yield name, x, (low + high) / 2 * percent, (high - low) / 2 * percent
+            mean, margin = common.gain(x, usual)
+            yield name, x, mean * percent, margin * percent
 
 
 def report(data, draw):

@@ -263,13 +263,19 @@ def spread(values, digits=1):
 
 
 def difference(returns, usual):
-    """Difference of two groups' means, its standard error, half its 95% interval (Welch)."""
+    """Difference of two groups' means, and half its 95% interval (Welch)."""
     from scipy.stats import ttest_ind
 
-    test = ttest_ind(returns, usual, equal_var=False)
-    low, high = test.confidence_interval(0.95)
-    gap = np.mean(returns) - np.mean(usual)
-    return gap, gap / test.statistic if gap else np.nan, (high - low) / 2
+    low, high = ttest_ind(returns, usual, equal_var=False).confidence_interval(0.95)
+    return (low + high) / 2, (high - low) / 2
+
+
+def gain(returns, usual):
+    """Mean of what each seed gains, and half its 95% interval (paired t)."""
+    from scipy.stats import ttest_rel
+
+    low, high = ttest_rel(returns, usual).confidence_interval(0.95)
+    return (low + high) / 2, (high - low) / 2
 
 
 def style():

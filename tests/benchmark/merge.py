@@ -21,10 +21,10 @@ def flags_of(config, usual):
 
 
 def collect(folders):
-    """A row per evaluation of each seed; folders that cannot count are named and left out."""
+    """A row per evaluation of each seed, of the last folder that has it; others are named."""
     usual = {name: common.defaults(name) for name in (common.PPO, common.A2C, common.REINFORCE)}
     tables, found = [], {}
-    for folder in folders:
+    for folder in reversed(folders):
         if not (folder / "args.json").exists():
             print(f"left out: {folder} is no run folder")
             continue
@@ -46,7 +46,7 @@ def collect(folders):
                 found[key] = folder
                 versions = json.dumps(config["versions"])
                 tables.append(pd.read_csv(file).assign(**row, versions=versions))
-    return pd.concat(tables, ignore_index=True) if tables else None
+    return pd.concat(tables[::-1], ignore_index=True) if tables else None
 
 
 def merge(folders, out_dir):

@@ -64,7 +64,7 @@ def report(names):
         if stale([name]):
             tables = study.report(data, lambda figure, picture, source=source: figure.savefig(
                 common.DOCS / f"{picture}.png", metadata={"Source": source}))
-            tables["machine"] = "; ".join(machines)
+            tables["machine"] = "\n".join(f"- {x}" for x in machines)
             for picture in study.FIGURES:
                 link = f"![{picture.replace('_', ' ')}]({picture}.png)"
                 tables[picture] = link if (common.DOCS / f"{picture}.png").exists() else ""

@@ -59,14 +59,22 @@ measure = common.train
 
 def score(runs):
     """In how many tasks the mean is at least what was published."""
+    from scipy.stats import t
+
     counts = []
     for column, published in (("return_mean", PUBLISHED), ("train_return", PUBLISHED),
-                              ("return_mean", PUBLISHED_V5)):
+                              ("return_mean", PUBLISHED_V5), ("train_return", PUBLISHED_V5)):
         means = runs[runs["env_id"].isin(published)].groupby("env_id")[column].mean()
         reached = sum(mean >= published[env_id][0] for env_id, mean in means.items())
         counts.append(f"{reached} of {len(means)}")
-    return ("On older versions: {} with deterministic actions, {} with sampled ones. "
-            "On -v5 itself, deterministic: {}.").format(*counts)
+    near = []
+    for env_id, x in runs.groupby("env_id")["return_mean"]:
+        margin = t.ppf(0.975, len(x) - 1) * x.std() / len(x) ** 0.5
+        if abs(x.mean() - PUBLISHED[env_id][0]) <= margin:
+            near.append(env_id)
+    return ("Against older versions: {} with deterministic actions, {} with sampled ones. Against "
+            "-v5 itself: {} and {}. The 95% interval of our mean with deterministic actions "
+            f"includes the number of the older version in {', '.join(near)}.").format(*counts)
 
 
 def report(data, draw):

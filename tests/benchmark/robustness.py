@@ -55,15 +55,16 @@ def report(data, draw):
         agents = data[inside].groupby(["part", "seed"])["return_mean"].mean()
         for name in USUAL, RANDOM:
             rows[name].append(spread(agents[name])[0])
-        gap, error, margin = common.difference(agents[RANDOM], agents[USUAL])
-        errors = number(gap / error)
-        rows["gap"].append(f"{number(gap)} ± {number(margin)} ({errors} standard errors)")
+        gap, margin = common.difference(agents[RANDOM], agents[USUAL])
+        rows["gap"].append(f"{number(gap)} ± {number(margin)}")
     draw(maps(data), "robustness")
-    worlds = data.pivot_table(index="gravity", columns="part", values="return_mean")
-    gaps = (worlds[RANDOM] - worlds[USUAL]).sort_index(ascending=False)
+    gaps = {}
+    for gravity in sorted(data["gravity"].unique(), reverse=True):
+        agents = data[data["gravity"] == gravity].groupby(["part", "seed"])["return_mean"].mean()
+        gap, margin = common.difference(agents[RANDOM], agents[USUAL])
+        gaps[number(gravity)] = f"{number(gap, 0)} ± {number(margin, 0)}"
     return {"regions": common.table(["", *regions], rows.values()),
-            "gravity": common.table(["gravity", *map(number, gaps.index)],
-                                    [["difference", *(number(x, 0) for x in gaps)]])}
+            "gravity": common.table(["gravity", *gaps], [["difference", *gaps.values()]])}
 
 
 def maps(data):
