@@ -22,8 +22,8 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a). Least
-     squares fits the mean of R given s: that of Q(s,a) over the actions of π, which is V(s).
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
+     Q(s,a); least squares learns its mean over the actions of π, which is V(s).
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
@@ -186,19 +186,19 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J, scaled, without γ^t.
 
-    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over all that the left-hand side leaves open: the first state s_0,
-    the actions, the rewards r and the next states s'. Given s and a, the distribution of r and s'
-    does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    Here V, Q and A are the true values of π, and ∇ is the gradient with respect to its parameters.
+    E is the mean over what is random: the first state s_0, actions, rewards r, next states s'. The
+    objective is J = E[V(s_0)]. The parameters change neither r nor s' for a given action, so
+    ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = Σ_a ∇π = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇Σ_a π = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    V(s), subtracted from Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it
-    is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
-    as much as early ones; strictly, what remains is not ∇J.
+    Subtracting V(s), a so-called baseline, leaves the mean of the gradient as it is, and usually
+    removes much of its noise. As usual, γ^t is left out, so that late steps count as much as early
+    ones; strictly, what remains is not ∇J.
 
     The actions must be drawn from the current π, so a rollout is used only once.
     """
@@ -332,8 +332,8 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=Fal
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
-    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
+    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
+    environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

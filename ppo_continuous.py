@@ -22,11 +22,11 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R estimates Q(s,a). Least
-     squares fits the mean of R given s: that of Q(s,a) over the actions of π, which is V(s).
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
+     Q(s,a); least squares learns its mean over the actions of π, which is V(s).
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π) > max_kl, lower the learning rate for a while, go to 6.
-     If not, standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
+     shuffled transitions: once KL(π_old ‖ π) > max_kl, go to 6 and take smaller steps next time.
+     Until then standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Unbounded actions (N, K) -> bounded. log π omits tanh's derivative: it cancels in ρ."""
+    """Bounds actions a (N, K) inside `envs`. tanh's derivative, left out of log π, cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -171,11 +171,10 @@ def rollout(envs, agent, obs, args, env_step):
 def scale_rewards(rewards, done, past_return, return_stats, gamma):
     """Step 3: divide rewards (T, N) by a running standard deviation of their discounted sums F.
 
-    So the critic's targets, discounted sums of later rewards, differ less in scale between tasks.
-
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    `past_return`, (N,) or 0, is F_{t−1} of the first step; that of the next call is returned, too.
+    The critic's targets are sums of later rewards. F discounts past ones in the same way, so it has
+    a similar spread, but is known at once. `past_return` carries F from call to call: (N,), or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -212,26 +211,26 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient with respect to the
-    parameters of π; E averages over all that the left-hand side leaves open: the first state s_0,
-    the actions, the rewards r and the next states s'. Given s and a, the distribution of r and s'
-    does not depend on the parameters, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)].
+    Here V, Q and A are the true values of π, and ∇ is the gradient with respect to its parameters.
+    E is the mean over what is random: the first state s_0, actions, rewards r, next states s'. The
+    objective is J = E[V(s_0)]. The parameters change neither r nor s' for a given action, so
+    ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[∇log π] = ∫∇π da = ∇1 = 0
+              = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇∫π da = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    V(s), subtracted from Q(s,a), is a so-called baseline: it leaves the mean of the gradient as it
-    is, and usually removes much of its noise. As usual, γ^t is left out, so that late steps count
-    as much as early ones; strictly, what remains is not ∇J.
+    Subtracting V(s), a so-called baseline, leaves the mean of the gradient as it is, and usually
+    removes much of its noise. As usual, γ^t is left out, so that late steps count as much as early
+    ones; strictly, what remains is not ∇J.
 
-    At π = π_old the gradient of the surrogate mean(ρ·A) estimates ∇J without γ^t, up to a factor.
-    Further away it is less exact, as states and advantages remain those of π_old; so the clip takes
-    away the incentive to go far: once ρ > 1 + ε where A > 0, or ρ < 1 − ε where A < 0, a sample has
-    no gradient left. Where ρ has gone the wrong way, min selects the unclipped term, which leads
-    back. Other samples may still push ρ further out; that is what max_kl is for.
+    At π = π_old the gradient of mean(ρ·A) estimates ∇J without γ^t, up to a factor. Further away it
+    is less exact, as states and advantages remain those of π_old. So a sample loses its gradient
+    once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
+    min selects the unclipped term, which leads back. As other samples may still push ρ further
+    out, there is max_kl.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -240,8 +239,8 @@ def policy_loss(ratio, advantages, clip_eps):
 def approximate_kl(log_ratio):
     """KL(π_old ‖ π) = E_old[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (B,).
 
-    E_old is a mean over actions of π_old. Adding ρ − 1 does not change it, as E_old[ρ − 1] =
-    ∫ π_old·(π/π_old) da − 1 = 0, but makes every term ≥ 0 and, near ρ = 1, removes most noise.
+    Adding ρ − 1 does not change the mean, as E_old[ρ] = ∫ π_old·(π/π_old) da = 1, but makes every
+    term ≥ 0 and, near ρ = 1, much less noisy: about ½·(log ρ)².
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
@@ -281,7 +280,7 @@ def diagnose(agent, batch, args):
 
 
 def make_optimizer(agent):
-    """Adam for actor and critic; `train` sets the learning rates."""
+    """Adam for actor and critic; `train` sets the learning rate."""
     return torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
 
 
@@ -380,8 +379,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
-    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
+    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
+    environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 

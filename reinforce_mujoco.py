@@ -157,11 +157,10 @@ def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, scaled, without γ^t.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
-    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E averages
-    over all that the left-hand side leaves open: the first state s_0, the actions, the rewards r
-    and the next states s'. Given s and a, the distribution of r and s' does not depend on the
-    weights, so ∇Q = E[γ·∇V(s')]. The objective is J = E[V(s_0)]. Then (the policy gradient theorem,
-    [2] sections 13.2 and 13.3)
+    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
+    mean over what is random: the first state s_0, actions, rewards r, next states s'. The objective
+    is J = E[V(s_0)]. The weights change neither r nor s' for a given action, so ∇Q = E[γ·∇V(s')].
+    Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
@@ -268,8 +267,8 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream. The streams: 0 for PyTorch, 1 for evaluation,
-    2 + k for training environments from step k on, and for PyTorch if training is resumed there.
+    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
+    environments from step k on, and for PyTorch if training is resumed there.
     """
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
