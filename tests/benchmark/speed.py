@@ -10,7 +10,7 @@ from benchmark.common import A2C, PPO, REINFORCE, Job
 FIGURES = ()
 ALONE = True  # nothing else may run beside a measurement of speed
 TASKS = {PPO: "HalfCheetah-v5", A2C: "LunarLander-v3", REINFORCE: "InvertedPendulum-v5"}
-PEER = "stable-baselines3"
+PEER, ALIKE = "stable-baselines3", "stable-baselines3, sizes as ours"
 
 
 def jobs(quick):
@@ -32,10 +32,14 @@ def our_speed(job):
     return env_step / (time.perf_counter() - start)
 
 
-def peer_speed(job):
-    """With its defaults, but as many environments as it likes best: eight."""
-    args = parse(job)
-    model = peers.make(job.script, args.env_id, 8, job.seed)
+def peer_speed(job, sizes_as_ours):
+    """With its defaults, but as many environments as it likes best: eight; or with our sizes."""
+    args, count, settings = parse(job), 8, {}
+    if sizes_as_ours:
+        count, settings["n_steps"] = args.num_envs, args.rollout_steps
+        if job.script == PPO:
+            settings["batch_size"] = args.minibatch_size
+    model = peers.make(job.script, args.env_id, count, job.seed, **settings)
     start = time.perf_counter()
     model.learn(args.total_steps)  # rounds up to whole rollouts, as ours does
     return model.num_timesteps / (time.perf_counter() - start)
@@ -93,7 +97,8 @@ def measure(job):
 def speeds(job):
     row = {"env_id": parse(job).env_id, "ours": our_speed(job), "stepping": random_speed(job)}
     if job.script != REINFORCE:  # which stable-baselines3 does not have
-        row[PEER] = peer_speed(job)
+        row[PEER] = peer_speed(job, sizes_as_ours=False)
+        row[ALIKE] = peer_speed(job, sizes_as_ours=True)
     return pd.DataFrame([{**row, **shares(job)}])  # last: its timers stay
 
 
@@ -102,7 +107,7 @@ def report(data, draw):
     for script, env_id in TASKS.items():
         x = data[data["script"] == script]
         cells = []
-        for other in PEER, "stepping":
+        for other in PEER, ALIKE, "stepping":
             ratio = (x["ours"] / x[other]).dropna()
             cells.append(f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
                          if len(ratio) else "–")
@@ -110,5 +115,5 @@ def report(data, draw):
                           for part in ("environments", "actions", "updates"))
         rows.append([f"`{script}.py`", env_id, f"{x['ours'].median():,.0f}", *cells, parts])
     return {"ratios": common.table(
-        ["script", "task", "steps per second", f"times {PEER}'s", "times stepping alone",
-         "where our time goes"], rows)}
+        ["script", "task", "steps per second", f"times {PEER}'s", "the same, its sizes as ours",
+         "times stepping alone", "where our time goes"], rows)}
