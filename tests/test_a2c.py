@@ -140,9 +140,14 @@ def test_longer_gradients_are_shortened_network_by_network():
     for limit in 1e9, 1e-3:
         torch.manual_seed(0)
         args, envs, agent = make(f"--max-grad-norm {limit}")
-        train(args, envs, agent)
-        for network in agent.actor, agent.critic:
-            kept.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
+        optimizer = a2c.make_optimizer(agent)
+
+        def keep(*_, agent=agent):
+            for network in agent.actor, agent.critic:
+                kept.append(torch.cat([p.grad.flatten() for p in network.parameters()]))
+
+        optimizer.register_step_pre_hook(keep)
+        list(a2c.train(args, 1, envs, agent, optimizer, 0))
     lengths = [gradient.norm().item() for gradient in kept]
     assert min(lengths[:2]) > 2e-3
     assert lengths[2:] == pytest.approx([1e-3, 1e-3], rel=1e-2)
@@ -162,14 +167,6 @@ def test_the_policy_that_learns_is_the_one_that_acts():
     probs = log_probs.exp().numpy()
     assert probs.max() - probs.min() > 0.05
     np.testing.assert_allclose(np.bincount(actions) / 20_000, probs, atol=0.015)  # 4 std. errors
-
-
-def test_the_deterministic_action_is_the_likeliest():
-    _, _, agent = make()
-    obs = np.float32(np.random.default_rng(0).normal(size=(200, 2), scale=3))
-    actions = agent.act(obs, deterministic=True)
-    assert len(np.unique(actions)) > 1
-    np.testing.assert_array_equal(actions, agent.policy(torch.as_tensor(obs)).probs.argmax(-1))
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -219,6 +216,10 @@ def test_the_agent_that_learns_from_a_rollout_is_the_one_that_played_it(rollouts
     assert agent.obs_stats.count == 300
     torch.testing.assert_close(agent.obs_stats.mean, rows.mean(0))
     torch.testing.assert_close(agent.obs_stats.var, rows.var(0, correction=0))
+    for (_, batch), (_, then) in zip(rollouts, rollouts[1:]):  # each goes on where the last ended
+        goes_on = batch.done[-1] == 0
+        assert goes_on.any()
+        assert torch.equal(then.obs[0][goes_on], batch.next_obs[-1][goes_on])
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12

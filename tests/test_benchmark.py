@@ -196,6 +196,12 @@ def test_what_is_in_docs_is_up_to_date():
     assert reports.stale(STUDIES) == []
 
 
+def test_every_row_in_docs_is_of_the_text_of_its_script_that_is_here():
+    for name, _, path, _ in reports.studies(STUDIES):
+        data, _ = common.read_rows(path)
+        assert common.is_current(data).all(), name
+
+
 def test_a_curve_has_each_evaluation_where_it_was_made():
     data = pd.DataFrame({"env_id": "World", "seed": 1, "env_step": [0, 51, 99, 151, 200],
                          "return_mean": [1.0, 2, 3, 4, 5]})

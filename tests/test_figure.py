@@ -73,6 +73,7 @@ def test_a_curve_is_the_mean_over_seeds_with_a_band_from_lowest_to_highest(
         for x, y in lines.values():
             np.testing.assert_allclose(x, at, atol=20)
             np.testing.assert_allclose(y, seeds.mean(0))
+        assert len(panel.collections) == len(lines)
         for band in panel.collections:
             y = band.get_paths()[0].vertices[:, 1]
             assert (y.min(), y.max()) == (pytest.approx(seeds.min()), pytest.approx(seeds.max()))

@@ -63,6 +63,14 @@ def test_a_finished_run_that_is_resumed_is_the_same_in_a_new_folder(script, fold
     torch.testing.assert_close(*states, rtol=0, atol=0)
 
 
+def test_a_checkpoint_of_a_gpu_is_resumed_on_the_cpu(script, folder, tmp_path):
+    checkpoint = load(folder / "seed-3")
+    checkpoint["args"]["device"] = "cuda"
+    torch.save(checkpoint, tmp_path / "checkpoint.pt")
+    args = script.module.parse_args(["--resume", str(tmp_path / "checkpoint.pt")])
+    assert args.device == "cpu"
+
+
 def test_the_noise_of_the_first_part_does_not_come_again(script, folder, tmp_path, monkeypatch):
     """Also with another seed. Each part begins with another number of the generator."""
     resume, noise = ("--resume", folder / "seed-3/checkpoint.pt"), []

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import torch
 from harness import ROOT, run
 from PIL import Image
 
@@ -44,16 +43,3 @@ def test_an_environment_that_cannot_draw_itself_still_gets_its_return(script, tm
     process = run(script.file, "--watch", folder / "checkpoint.pt", cwd=tmp_path)
     assert printed(process) == {"return_mean": 3, "return_std": 0, "length_mean": 3}
     assert not list(tmp_path.rglob("*.gif"))
-
-
-def test_a_checkpoint_of_a_gpu_can_be_watched_without_one(script, tmp_path):
-    """Its options say --device cuda, which those of the command line's defaults replace."""
-    folder = script.train(tmp_path, env_id=script.world("ThreeSteps"))
-    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
-    checkpoint["args"]["device"] = "cuda"
-    torch.save(checkpoint, folder / "checkpoint.pt")
-    script.module.watch(script.module.parse_args(["--watch", str(folder / "checkpoint.pt")]))
-    if script.name != "reinforce_mujoco":
-        args = script.module.parse_args(["--resume", str(folder / "checkpoint.pt")])
-        (tmp_path / "resumed").mkdir()
-        script.module.run(0, args, tmp_path / "resumed")
