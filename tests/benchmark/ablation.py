@@ -99,5 +99,5 @@ def picture(found):
         axis.axvline(0, color="grey", linewidth=0.8)
         axis.set(title=env_id, xlabel="change of the return, % of the defaults'",
                  yticks=[-i for i in range(len(names))], yticklabels=names)
-    figure.suptitle("PPO with one detail changed, 95% intervals (filled: without 0)")
+    figure.suptitle("PPO with a detail changed, 95% intervals (filled: they exclude 0)")
     return figure
