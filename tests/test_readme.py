@@ -86,12 +86,16 @@ def test_the_trained_agent_of_your_code_plays_an_episode(here, capsys):
     assert re.fullmatch(r"return: [\d.]+\n", capsys.readouterr().out.splitlines(True)[-1])
 
 
-def test_the_cell_of_the_notebook_that_takes_a_function_apart_gives_discounted_returns():
-    setup, last = snippet("compute_gae(rewards").split("\ncompute_gae(")
+@pytest.mark.parametrize(("words", "shown"), [
+    ("5 steps of reward 1", [4.0951, 3.439, 2.71, 1.9, 1]),
+    ("one = torch.ones(4, 1)", [1.16, 0.8, -1, 0.8])])
+def test_cells_that_take_a_function_apart_show_what_the_text_says(words, shown):
+    setup, last = snippet(words).split("\ncompute_gae(")
     scope = {}
     exec(setup, scope)
     advantages = eval(f"compute_gae({last}", scope).flatten().tolist()
-    assert advantages == pytest.approx([4.0951, 3.439, 2.71, 1.9, 1])
+    assert advantages == pytest.approx(shown)
+    assert all(f"{x:g}".replace("-", "−") in TEXT for x in shown)
 
 
 def test_every_snippet_compiles():
