@@ -230,8 +230,8 @@ def test_the_interval_of_a_gain_is_that_of_the_pairs():
 def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
     """Ours earns 10 a minute and the peer 1, for ten minutes; seed 2 is half as good in both."""
     data = pd.DataFrame([
-        {"env_id": "World", "part": part, "seed": seed, "env_step": minute, "minutes": float(minute),
-         "return_mean": minute * (10 if part == race.OURS else 1) / seed}
+        {"env_id": "World", "part": part, "seed": seed, "env_step": minute,
+         "minutes": float(minute), "return_mean": minute * (10 if part == race.OURS else 1) / seed}
         for part in race.LEARNERS for seed in (1, 2) for minute in range(11)])
     ours, peer, _ = race.rows(data)
     # 7.5 in the mean of 10 and 5: the seeds after 1 and 2 whole minutes, their mean after 1
