@@ -389,6 +389,7 @@ def run(index, args, folder):
         first_step, seconds = last["env_step"], last["seconds"]
         torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
+    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -403,6 +404,8 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+            if parent and not parent.is_alive():
+                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 

@@ -229,8 +229,8 @@ def policy_loss(ratio, advantages, clip_eps):
     At π = π_old the gradient of mean(ρ·A) estimates ∇J without γ^t, up to a factor. Further away it
     is less exact, as states and advantages remain those of π_old. So a sample loses its gradient
     once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
-    min selects the unclipped term, which leads back. As other samples may still push ρ further
-    out, there is max_kl.
+    min selects the unclipped term, which leads back. Other samples may still push ρ further out;
+    that is what max_kl is for.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -435,6 +435,7 @@ def run(index, args, folder):
         first_step, seconds = last["env_step"], last["seconds"]
         torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
+    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -449,6 +450,8 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
+            if parent and not parent.is_alive():
+                return  # the parent was killed; nobody waits for this seed
             start = time.perf_counter()
 
 

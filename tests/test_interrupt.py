@@ -95,6 +95,11 @@ def test_ctrl_c_ends_a_run_at_once_and_in_order(case, tmp_path):
 @pytest.mark.parametrize("number", ["SIGKILL", "SIGTERM"])
 @pytest.mark.parametrize("case", ["several seeds", "processes"])
 def test_killing_the_main_process_ends_the_others(case, number, tmp_path):
-    process = stop(case, tmp_path, lambda pid: os.kill(pid, getattr(signal, number)))
+    """Also where SIGINT is ignored, as in what a shell's script starts with `&`."""
+    usual = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which processes inherit
+    try:
+        process = stop(case, tmp_path, lambda pid: os.kill(pid, getattr(signal, number)))
+    finally:
+        signal.signal(signal.SIGINT, usual)
     assert process.returncode == -getattr(signal, number)
     check_nothing_is_left(process.pid)
