@@ -1,8 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
-# dependencies = ["torch>=2.6,<2.14", "gymnasium[box2d]>=1.4,<1.5",
-#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28",
-#     "tqdm>=4.66"]
+# dependencies = ["torch>=2.6,<2.14", "gymnasium[box2d]>=1.4,<1.5", "numpy>=1.26",
+#     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28", "tqdm>=4.66"]
 # ///
 """A2C: synchronous advantage actor-critic for discrete actions, in one file.
 
@@ -29,11 +28,11 @@ action is than what π does on average. If A > 0, the action is made more likely
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
-stands in for rewards still to come (bootstrapping). In A3C [1] workers update shared weights
-without waiting for each other; A2C waits for all of them, here with GAE [2].
+stands in for rewards still to come (bootstrapping). A3C's workers [1] update shared weights without
+waiting for each other; A2C makes one update once all have stepped. Here it uses GAE [2].
 The rest are implementation details: learning-rate annealing, observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
-layer of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, which keeps π random.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with small last
+weights of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, so that π explores.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -50,7 +49,6 @@ import json
 import os
 import sys
 import time
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -110,13 +108,10 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w = B / (number of all rows, including these):
-
-        var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
-        mean ← (1−w)·mean + w·mean_new
-        """
+        """Merge in new `rows` (B, …), whose weight w is their share of all rows so far."""
         self.count += len(rows)
         weight = len(rows) / self.count
+        # var ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²);  mean ← (1−w)·mean + w·mean_new
         between = (1 - weight) * (rows.mean(0) - self.mean) ** 2
         # A dimension that has never changed has variance 0; the floor avoids dividing by 0.
         self.var.lerp_(rows.var(0, correction=0) + between, weight).clamp_(min=1e-8)
@@ -138,9 +133,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
-    length of each episode that ended. The environments do not reset themselves, so `next_obs` is
-    always what followed the action, even at the end of an episode. `env_step`: steps taken before.
+    Returns transitions, float tensors (T, N, …); the observations to go on from; return and length
+    of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
+    followed the action, even at the end of an episode. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -173,9 +168,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
-    A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
-    the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of all later steps (variance).
+    A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
+    A_t is the discounted sum of all rewards up to the end and of V there, minus V(s_t), as the
+    values in between cancel: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -184,21 +179,19 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J, scaled, without γ^t.
+    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J up to scale and γ^t.
 
-    Here V, Q and A are the true values of π, and ∇ is the gradient with respect to its parameters.
-    E is the mean over what is random: the first state s_0, actions, rewards r, next states s'. The
-    objective is J = E[V(s_0)]. The parameters change neither r nor s' for a given action, so
-    ∇Q = E[γ·∇V(s')].
+    Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
+    E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise
+    J = E[V(s_0)]. Given an action, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇Σ_a π = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    Subtracting V(s), a so-called baseline, leaves the mean of the gradient as it is, and usually
-    removes much of its noise. As usual, γ^t is left out, so that late steps count as much as early
-    ones; strictly, what remains is not ∇J.
+    Subtracting V(s), a baseline, keeps the mean of the gradient and usually removes much noise. As
+    usual, γ^t is left out, so that late steps count like early ones; strictly, the rest is not ∇J.
 
     The actions must be drawn from the current π, so a rollout is used only once.
     """
@@ -215,11 +208,11 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
-    for network in agent.actor, agent.critic:  # a large gradient of one must not slow both
+    for network in agent.actor, agent.critic:  # clipping one must not shrink the other
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # R − V = A; 1 is perfect up to a constant, 0 no better than a constant, < 0 worse.
+               # R − V = `advantages`; 1: right up to a constant, 0: no better than one, < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
@@ -240,9 +233,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
         optimizer.param_groups[1]["lr"] = remaining * args.critic_learning_rate
         entropy_coef = remaining * args.entropy_coef
-        # Step 2: collect a rollout.
+        # Steps 2 and 3: collect a rollout, scale the rewards.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
-        # Step 3: scale the rewards.
         batch.rewards *= args.reward_scale
         # Step 4: estimate advantages and targets, which are constants in the losses.
         with torch.no_grad():
@@ -322,19 +314,16 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=False, **kwargs):
-    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics, *([RandomPhysics] if randomize else [])], **kwargs)
-    check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
-    envs = gym.wrappers.vector.TransformReward(envs, check_finite)
-    return gym.wrappers.vector.TransformObservation(envs, check_finite)
+    envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
+    return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
-    environments from step k on, and for PyTorch if training is resumed there.
-    """
+    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -375,7 +364,7 @@ def run(index, args, folder):
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     # "Disabled" leaves resets to `rollout`.
     envs = make_envs(args.env_id, args.num_envs, "Disabled", args.vectorization, args.randomize)
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
+    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")  # reset themselves
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
     tables = {"evals": [], "episodes": [], "metrics": []}
@@ -389,7 +378,6 @@ def run(index, args, folder):
         first_step, seconds = last["env_step"], last["seconds"]
         torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -404,8 +392,8 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
-            if parent and not parent.is_alive():
-                return  # the parent was killed; nobody waits for this seed
+            if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
+                return  # what started this seed was killed: nobody waits for it
             start = time.perf_counter()
 
 
@@ -425,7 +413,7 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    # In bins, so that each point of the figure is a mean over a fiftieth of the run:
     data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

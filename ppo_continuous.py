@@ -1,8 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
-# dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "mujoco>=3.1,<3.16",
-#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28",
-#     "tqdm>=4.66"]
+# dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
+#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
@@ -19,24 +18,24 @@ expected return from s on; the action value Q(s,a) is the expected return if a i
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
 action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal linearly: the learning rate to 0; σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
+  1. Anneal linearly: the learning rate to 0, and the σ of π, a Gaussian around μ(s), to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
      Q(s,a); least squares learns its mean over the actions of π, which is V(s).
   5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: once KL(π_old ‖ π) > max_kl, go to 6 and take smaller steps next time.
-     Until then standardise A over the minibatch and, with ρ = π(a|s) / π_old(a|s), take a step on
-         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
+     shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl, go to 6 and take
+     smaller steps next time. Else standardise A over the minibatch, let ρ = π(a|s) / π_old(a|s),
+     and take a step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
 The rest are implementation details, many described in [4]: observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with a small last
-layer of π, tanh squashing, and a KL limit that ends an update.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with small last
+weights of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
-    ρ ratio, ε clip_eps, μ (the actor's output) and σ mean and standard deviation of π.
+    ρ ratio, ε clip_eps, μ mean (the actor's output) and σ standard deviation of π.
 Shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation, K in an action.
 An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
@@ -51,7 +50,6 @@ import json
 import os
 import sys
 import time
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -101,7 +99,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Bounds actions a (N, K) inside `envs`. tanh's derivative, left out of log π, cancels in ρ."""
+    """Maps actions a (N, K) into their bounds. π is over a itself; in ρ, tanh's slope cancels."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -119,13 +117,10 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / self.var.sqrt()).clamp(-10, 10)
 
     def update(self, rows):
-        """Merge in new `rows` (B, …); w = B / (number of all rows, including these):
-
-        var  ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²)
-        mean ← (1−w)·mean + w·mean_new
-        """
+        """Merge in new `rows` (B, …), whose weight w is their share of all rows so far."""
         self.count += len(rows)
         weight = len(rows) / self.count
+        # var ← (1−w)·var + w·(var_new + (1−w)·(mean_new − mean)²);  mean ← (1−w)·mean + w·mean_new
         between = (1 - weight) * (rows.mean(0) - self.mean) ** 2
         # A dimension that has never changed has variance 0; the floor avoids dividing by 0.
         self.var.lerp_(rows.var(0, correction=0) + between, weight).clamp_(min=1e-8)
@@ -147,9 +142,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns the transitions, float tensors (T, N, …); the observations to go on from; and return and
-    length of each episode that ended. The environments do not reset themselves, so `next_obs` is
-    always what followed the action, even at the end of an episode. `env_step`: steps taken before.
+    Returns transitions, float tensors (T, N, …); the observations to go on from; return and length
+    of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
+    followed the action, even at the end of an episode. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -173,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    The critic's targets are sums of later rewards. F discounts past ones in the same way, so it has
-    a similar spread, but is known at once. `past_return` carries F from call to call: (N,), or 0.
+    V estimates sums of later rewards. F discounts past ones in the same way, so it has a similar
+    spread, but is known at once. `past_return` carries F from call to call: (N,), or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -198,9 +193,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
-    A_t = δ_t relies on one reward, then on V: little noise, but all of V's error (bias). With λ = 1
-    the values in between cancel: A_t is the discounted sum of all rewards up to the end, plus the
-    discounted V there, minus V(s_t); less bias, but the luck of all later steps (variance).
+    A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
+    A_t is the discounted sum of all rewards up to the end and of V there, minus V(s_t), as the
+    values in between cancel: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -211,10 +206,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    Here V, Q and A are the true values of π, and ∇ is the gradient with respect to its parameters.
-    E is the mean over what is random: the first state s_0, actions, rewards r, next states s'. The
-    objective is J = E[V(s_0)]. The parameters change neither r nor s' for a given action, so
-    ∇Q = E[γ·∇V(s')].
+    Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
+    E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise
+    J = E[V(s_0)]. Given an action, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -222,15 +216,13 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    Subtracting V(s), a so-called baseline, leaves the mean of the gradient as it is, and usually
-    removes much of its noise. As usual, γ^t is left out, so that late steps count as much as early
-    ones; strictly, what remains is not ∇J.
+    Subtracting V(s), a baseline, keeps the mean of the gradient and usually removes much noise. As
+    usual, γ^t is left out, so that late steps count like early ones; strictly, the rest is not ∇J.
 
-    At π = π_old the gradient of mean(ρ·A) estimates ∇J without γ^t, up to a factor. Further away it
-    is less exact, as states and advantages remain those of π_old. So a sample loses its gradient
+    At π = π_old the gradient of mean(ρ·A) estimates this rest, up to scale; elsewhere less well,
+    as states and advantages are those of π_old. So the clip takes a sample's gradient away
     once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
-    min selects the unclipped term, which leads back. Other samples may still push ρ further out;
-    that is what max_kl is for.
+    min selects the unclipped term, which leads back. Other samples may still push ρ: hence max_kl.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -272,7 +264,7 @@ def diagnose(agent, batch, args):
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # R − V = A; 1 is perfect up to a constant, 0 no better than a constant, < 0 worse.
+               # R − V = `advantages`; 1: right up to a constant, 0: no better than one, < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -294,9 +286,8 @@ def train(args, seed, envs, agent, optimizer, env_step):
         remaining = 1 - env_step / args.total_steps
         optimizer.param_groups[0]["lr"] = pace * remaining * args.learning_rate
         agent.std.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
-        # Step 2: collect a rollout.
+        # Steps 2 and 3: collect a rollout, scale the rewards.
         batch, obs, episodes = rollout(envs, agent, obs, args, env_step)
-        # Step 3: scale the rewards.
         batch.rewards, past_return = scale_rewards(
             batch.rewards, batch.done, past_return, agent.return_stats, args.gamma)
         # Step 4: estimate advantages and targets, which are constants in the losses.
@@ -368,20 +359,17 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
-    envs = gym.wrappers.vector.TransformAction(envs, partial(squash, space=envs.action_space))
-    check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
-    envs = gym.wrappers.vector.TransformReward(envs, check_finite)
-    return gym.wrappers.vector.TransformObservation(envs, check_finite)
+    envs = gym.wrappers.vector.TransformAction(envs, lambda a: squash(a, envs.action_space))
+    envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
+    return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
-    environments from step k on, and for PyTorch if training is resumed there.
-    """
+    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -421,7 +409,7 @@ def run(index, args, folder):
     folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
+    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")  # reset themselves
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = make_optimizer(agent)
     tables = {"evals": [], "episodes": [], "metrics": []}
@@ -435,7 +423,6 @@ def run(index, args, folder):
         first_step, seconds = last["env_step"], last["seconds"]
         torch.manual_seed(make_seeds(seed, 2 + first_step, count=1)[0])
     evals_due = np.linspace(first_step, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, initial=first_step, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer, first_step):
@@ -450,8 +437,8 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
-            if parent and not parent.is_alive():
-                return  # the parent was killed; nobody waits for this seed
+            if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
+                return  # what started this seed was killed: nobody waits for it
             start = time.perf_counter()
 
 
@@ -471,7 +458,7 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    # In bins, so that each point of the figure is a mean over a fiftieth of the run:
     data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

@@ -1,8 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
-# dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "mujoco>=3.1,<3.16",
-#     "numpy>=1.26", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28",
-#     "tqdm>=4.66"]
+# dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
+#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
 # ///
 """REINFORCE: the policy gradient with the returns of whole episodes, in one file.
 
@@ -32,7 +31,7 @@ sum of rewards. So an action is made more likely in proportion to the return tha
 
 This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
 rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
-σ, orthogonal initialisation with a small last layer of π, a factor γ^t left out (`policy_loss`).
+σ, orthogonal initialisation with small last weights of π, a factor γ^t left out (`policy_loss`).
 The environment clips actions to its bounds; log π is that of the action before clipping. The critic
 is trained with every baseline, as step 3 needs it.
 
@@ -51,7 +50,6 @@ import json
 import os
 import sys
 import time
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -154,7 +152,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, scaled, without γ^t.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J up to scale and γ^t.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
@@ -201,7 +199,7 @@ def optimise(agent, optimizer, batch, args):
 
 def train(args, seed, envs, agent, optimizer):
     """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # for the seed; `rollout` resets again
+    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # only seeds; `rollout` resets again
     env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:
@@ -257,19 +255,16 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
+    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.ClipAction], **kwargs)
-    check_finite = partial(np.asarray_chkfinite, dtype=np.float32)
-    envs = gym.wrappers.vector.TransformReward(envs, check_finite)
-    return gym.wrappers.vector.TransformObservation(envs, check_finite)
+    envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
+    return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Integers, independent for each seed and stream: 0 for PyTorch, 1 for evaluation, 2 + k for
-    environments from step k on, and for PyTorch if training is resumed there.
-    """
+    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -309,13 +304,12 @@ def run(index, args, folder):
     folder.mkdir()
     torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
+    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")  # reset themselves
     agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
     optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # `train` sets its learning rate
     tables = {"evals": [], "episodes": [], "metrics": []}
     seconds = 0.0
     evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
-    parent = torch.multiprocessing.parent_process()  # None if there is only one seed
     with tqdm(total=args.total_steps, disable=index > 0) as bar:
         start = time.perf_counter()
         for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
@@ -330,8 +324,8 @@ def run(index, args, folder):
                 bar.set_postfix_str(f"return {result['return_mean']:.1f}")
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict()})
-            if parent and not parent.is_alive():
-                return  # the parent was killed; nobody waits for this seed
+            if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
+                return  # what started this seed was killed: nobody waits for it
             start = time.perf_counter()
 
 
@@ -351,7 +345,7 @@ def report(folder, env_id):
     data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
     results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
     print(folder, results.round(1), sep="\n")
-    # Rounded down, so that a point of the figure is a mean over a fiftieth of the run:
+    # In bins, so that each point of the figure is a mean over a fiftieth of the run:
     data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
     data = data.groupby(["seed", "env_step"], as_index=False).mean()
     figure = Figure(figsize=(12, 9), layout="constrained")

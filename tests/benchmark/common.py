@@ -172,7 +172,7 @@ def read_rows(path):
     if not path.exists():
         return pd.DataFrame(columns=KEYS), []
     data = pd.read_csv(path, comment="#", keep_default_na=False, na_values=[""])
-    text = ["flags", "variant", "part", "digest"]
+    text = data.columns.intersection(["flags", "variant", "part", "digest"])
     data[text] = data[text].astype(object).where(data[text].notna(), "")
     lines = path.read_text("utf-8").splitlines()
     return data, [line[2:] for line in lines if line.startswith("# ")]

@@ -30,7 +30,9 @@ def collect(folders):
             continue
         config = json.loads((folder / "args.json").read_text(encoding="utf-8"))
         script = Path(config["command"][0]).stem
-        flags = flags_of(config, usual.get(script, {})) if script in usual else ""
+        # A copy under another name is compared with the file whose options it shares.
+        closest = max(usual.values(), key=lambda options: len(options.keys() & config.keys()))
+        flags = flags_of(config, usual.get(script, closest))
         for seed in config["seed"]:
             file = folder / f"seed-{seed}/evals.csv"
             row = {"script": script, "env_id": config["env_id"], "flags": flags,

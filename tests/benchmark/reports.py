@@ -59,7 +59,7 @@ def report(names):
     common.style()
     for name, study, path, source in studies(names):
         data, machines = common.read_rows(path)
-        if count := sum(~common.is_current(data)):
+        if "digest" in data and (count := sum(~common.is_current(data))):
             print(f"{path.name}: {count} of {len(data)} rows are of another text of their script")
         if stale([name]):
             tables = study.report(data, lambda figure, picture, source=source: figure.savefig(
