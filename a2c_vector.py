@@ -31,8 +31,8 @@ REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before
 stands in for rewards still to come (bootstrapping). A3C's workers [1] update shared weights without
 waiting for each other; A2C makes one update once all have stepped. Here it uses GAE [2].
 The rest are implementation details: learning-rate annealing, observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with small last
-weights of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, so that π explores.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
+the last layer of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, so that π explores.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -190,8 +190,8 @@ def policy_loss(log_probs, advantages):
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇Σ_a π = 0
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
 
-    Subtracting V(s), a baseline, keeps the mean of the gradient and usually removes much noise. As
-    usual, γ^t is left out, so that late steps count like early ones; strictly, the rest is not ∇J.
+    Subtracting V(s), a baseline, does not change this mean, and usually removes much of its noise.
+    The factor γ^t is usually left out, so that late steps count fully; the result is not quite ∇J.
 
     The actions must be drawn from the current π, so a rollout is used only once.
     """
@@ -212,7 +212,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # R − V = `advantages`; 1: right up to a constant, 0: no better than one, < 0: worse.
+               # R − V is `advantages`. 1: exact but for an offset; 0: like a constant; < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
@@ -314,10 +314,11 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=False, **kwargs):
-    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics, *([RandomPhysics] if randomize else [])], **kwargs)
+    # Checked as float32 ("f4"), as the networks use it: what overflows there is not finite, either.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
@@ -393,7 +394,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # what started this seed was killed: nobody waits for it
+                return  # the process that started this one was killed; nobody waits
             start = time.perf_counter()
 
 

@@ -31,8 +31,8 @@ action is than what π does on average. If A > 0, the action is made more likely
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
 The rest are implementation details, many described in [4]: observation normalisation and
-clipping, reward scaling, standardised advantages, orthogonal initialisation with small last
-weights of π, tanh squashing, and a KL limit that ends an update.
+clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
+the last layer of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ mean (the actor's output) and σ standard deviation of π.
@@ -99,7 +99,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Maps actions a (N, K) into their bounds. π is over a itself; in ρ, tanh's slope cancels."""
+    """Maps actions a (N, K) into bounds. log π is that of a, as tanh's derivative cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -216,13 +216,13 @@ def policy_loss(ratio, advantages, clip_eps):
         ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    Subtracting V(s), a baseline, keeps the mean of the gradient and usually removes much noise. As
-    usual, γ^t is left out, so that late steps count like early ones; strictly, the rest is not ∇J.
+    Subtracting V(s), a baseline, does not change this mean, and usually removes much of its noise.
+    The factor γ^t is usually left out, so that late steps count fully; the result is not quite ∇J.
 
-    At π = π_old the gradient of mean(ρ·A) estimates this rest, up to scale; elsewhere less well,
-    as states and advantages are those of π_old. So the clip takes a sample's gradient away
-    once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
-    min selects the unclipped term, which leads back. Other samples may still push ρ: hence max_kl.
+    At π = π_old the gradient of mean(ρ·A) estimates it, up to scale; further away less exactly, as
+    states and advantages are still those of π_old. So the clip takes a sample's gradient away once
+    ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way, min
+    selects the unclipped term, which leads back. Other samples may still push ρ on: hence max_kl.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -264,7 +264,7 @@ def diagnose(agent, batch, args):
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # R − V = `advantages`; 1: right up to a constant, 0: no better than one, < 0: worse.
+               # R − V is `advantages`. 1: exact but for an offset; 0: like a constant; < 0: worse.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -297,10 +297,9 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
-        # Step 5: update actor and critic.
+        # Step 5: update actor and critic; after an update that was cut short, in smaller steps.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
-        # Smaller steps after an update that was cut short; else slowly back to full size.
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
         metrics = {"learning_rate": optimizer.param_groups[0]["lr"], **diagnose(agent, batch, args)}
         # Step 6: update `obs_stats` last, so that steps 2 to 5 normalise in the same way.
@@ -359,11 +358,12 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
     envs = gym.wrappers.vector.TransformAction(envs, lambda a: squash(a, envs.action_space))
+    # Checked as float32 ("f4"), as the networks use it: what overflows there is not finite, either.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
@@ -438,7 +438,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # what started this seed was killed: nobody waits for it
+                return  # the process that started this one was killed; nobody waits
             start = time.perf_counter()
 
 

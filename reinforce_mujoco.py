@@ -31,7 +31,7 @@ sum of rewards. So an action is made more likely in proportion to the return tha
 
 This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
 rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
-σ, orthogonal initialisation with small last weights of π, a factor γ^t left out (`policy_loss`).
+σ, orthogonal weights, small in the last layer of π, a factor γ^t left out (`policy_loss`).
 The environment clips actions to its bounds; log π is that of the action before clipping. The critic
 is trained with every baseline, as step 3 needs it.
 
@@ -255,10 +255,11 @@ def number(kind, low, high=1e12):
 
 
 def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; without a limit, 10,000 steps. NaN, inf as float32 (f4): ValueError."""
+    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.ClipAction], **kwargs)
+    # Checked as float32 ("f4"), as the networks use it: what overflows there is not finite, either.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
@@ -325,7 +326,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # what started this seed was killed: nobody waits for it
+                return  # the process that started this one was killed; nobody waits
             start = time.perf_counter()
 
 

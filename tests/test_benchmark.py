@@ -18,9 +18,9 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from benchmark import ablation, common, exercises, merge, race, reports
+from benchmark import ablation, common, exercises, merge, race, reports, trials
 from benchmark.__main__ import SHOWN, STUDIES, main
-from benchmark.common import PPO, Job
+from benchmark.common import A2C, PPO, Job
 
 VARIANTS = sorted(x.stem for x in common.VARIANTS.glob("*.patch"))
 
@@ -239,6 +239,18 @@ def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
     assert ours[2:] == ["100, 50", "10.0", "", "", ""]
     data.loc[data["part"] == race.OURS, "return_mean"] -= 100
     assert race.rows(data)[1][4:] == ["never, never", "never", "–"]
+
+
+def test_trials_show_every_seed_of_a_change_also_those_cut_off():
+    data = pd.DataFrame({
+        "script": [PPO, PPO, PPO, A2C], "env_id": "World-v0", "stage": [2, 1, 2, np.nan],
+        "change": ["a", np.nan, "a", "b"], "seed": [301, 302, 303, 304],
+        "total_steps": [500_000] * 4, "return_at_100": [7.0, 8.0, np.nan, 9.0]})
+    tables = trials.report(data, draw=None)
+    assert tables["ppo"].splitlines()[2:] == [
+        "| 1 | – | World, 0.5M steps: 8 (302) |",
+        "| 2 | a | World, 0.5M steps: 7 (301), cut off (303) |"]
+    assert tables["a2c"].splitlines()[2:] == ["| b | World, 0.5M steps: 9 (304) |"]
 
 
 # --- Merging --------------------------------------------------------------------------------------
