@@ -18,7 +18,7 @@ expected return from s on; the action value Q(s,a) is the expected return if a i
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
 action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal linearly: the learning rate to 0, and the σ of π, a Gaussian around μ(s), to 0.1.
+  1. Anneal linearly: the learning rate to 0; the σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
@@ -77,7 +77,7 @@ class Agent(nn.Module):
         # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.return_stats = RunningStatistics(())  # for `scale_rewards`; here to be saved
+        self.return_stats = RunningStatistics(())  # for `scale_rewards`; saved with the rest
         self.register_buffer("std", torch.tensor(args.first_std))  # the same for all s; annealed
 
     def policy(self, obs):
@@ -168,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    V estimates sums of later rewards. F discounts past ones in the same way, so it has a similar
-    spread, but is known at once. `past_return` carries F from call to call: (N,), or 0.
+    V estimates sums of later rewards. F discounts past ones in the same way, so its spread is
+    similar, but it is known at once. `past_return` carries F from call to call: (N,), or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -208,7 +208,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
     E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise
-    J = E[V(s_0)]. Given an action, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
+    J = E[V(s_0)]. Given s and a, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
@@ -217,9 +217,9 @@ def policy_loss(ratio, advantages, clip_eps):
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
     Subtracting V(s), a baseline, does not change this mean, and usually removes much of its noise.
-    The factor γ^t is usually left out, so that late steps count fully; the result is not quite ∇J.
+    As usual, γ^t is left out, so that late steps count fully; the result is not quite ∇J.
 
-    At π = π_old the gradient of mean(ρ·A) estimates it, up to scale; further away less exactly, as
+    At π = π_old the gradient of mean(ρ·A) estimates this, up to scale; elsewhere less exactly, as
     states and advantages are still those of π_old. So the clip takes a sample's gradient away once
     ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way, min
     selects the unclipped term, which leads back. Other samples may still push ρ on: hence max_kl.
@@ -258,13 +258,13 @@ def optimise(agent, optimizer, batch, args):
 
 @torch.no_grad()
 def diagnose(agent, batch, args):
-    """Metrics of the whole rollout: π after the update, A not standardised; V before the update."""
+    """Metrics of the whole rollout, with π after the update, V before it, A not standardised."""
     policy = agent.policy(batch.obs)
     log_ratio = policy.log_prob(batch.actions) - batch.log_probs
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # R − V is `advantages`. 1: exact but for an offset; 0: like a constant; < 0: worse.
+               # R − V is `advantages`. 1: exact but for an offset; ≤ 0: no better than a constant.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -297,7 +297,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
-        # Step 5: update actor and critic; after an update that was cut short, in smaller steps.
+        # Step 5: update actor and critic. After an update that was cut short, steps are smaller.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
@@ -363,7 +363,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
     envs = gym.wrappers.vector.TransformAction(envs, lambda a: squash(a, envs.action_space))
-    # Checked as float32 ("f4"), as the networks use it: what overflows there is not finite, either.
+    # Checked after conversion to float32 ("f4"), so that an overflow there is caught, too.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 

@@ -14,14 +14,14 @@ earn 1000 in the last evaluation, where they take the mean of π instead of a ra
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
 answers with a reward r and the next state, until the episode ends. The goal is a high return, the
-sum of rewards. So an action is made more likely in proportion to the return that followed it:
+sum of rewards. To this end an action is made the more likely, the higher the return that followed:
 
   1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
   3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
-     reward 50 steps later counts only γ^50 ≈ 0.36, which makes G less noisy. After the last step,
-     G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were still to
-     come, and G_T = V(s_T), as predicted by a second network, the critic [3].
+     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy, but sees less far ahead. After
+     the last step, G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were
+     still to come, and G_T = V(s_T), as predicted by a second network, the critic [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
@@ -32,8 +32,8 @@ sum of rewards. So an action is made more likely in proportion to the return tha
 This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
 rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
 σ, orthogonal weights, small in the last layer of π, a factor γ^t left out (`policy_loss`).
-The environment clips actions to its bounds; log π is that of the action before clipping. The critic
-is trained with every baseline, as step 3 needs it.
+Clipping actions to their bounds is a part of the environment; log π is that of the action before.
+The critic is trained with every baseline, as step 3 needs it.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
     standard deviation of π.
@@ -152,12 +152,12 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J up to scale and γ^t.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, up to scale.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
     mean over what is random: the first state s_0, actions, rewards r, next states s'. The objective
-    is J = E[V(s_0)]. The weights change neither r nor s' for a given action, so ∇Q = E[γ·∇V(s')].
+    is J = E[V(s_0)]. Given s and a, the weights change neither r nor s', so ∇Q = E[γ·∇V(s')].
     Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
@@ -259,7 +259,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.ClipAction], **kwargs)
-    # Checked as float32 ("f4"), as the networks use it: what overflows there is not finite, either.
+    # Checked after conversion to float32 ("f4"), so that an overflow there is caught, too.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 

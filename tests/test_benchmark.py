@@ -228,17 +228,18 @@ def test_the_interval_of_a_gain_is_that_of_the_pairs():
 
 
 def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
-    """Ours earns 10 a minute and the peer 1, for ten minutes; seed 2 is half as good in both."""
+    """In ten minutes ours earns 10 a minute, the peer 1 in the first eight; seed 2 half of it."""
     data = pd.DataFrame([
-        {"env_id": "World", "part": part, "seed": seed, "env_step": minute,
-         "minutes": float(minute), "return_mean": minute * (10 if part == race.OURS else 1) / seed}
+        {"env_id": "World", "part": part, "seed": seed, "env_step": minute, "minutes": minute,
+         "return_mean": (10 * minute if part == race.OURS else min(minute, 8)) / seed}
         for part in race.LEARNERS for seed in (1, 2) for minute in range(11)])
     ours, peer, _ = race.rows(data)
-    # 7.5 in the mean of 10 and 5: the seeds after 1 and 2 whole minutes, their mean after 1
-    assert peer[2:] == ["10, 5", "10.0", "1.00, 2.00", "1.00", "10.0"]
-    assert ours[2:] == ["100, 50", "10.0", "", "", ""]
+    # The goal is 6, the mean of 8 and 4. Our seeds have it after 1 and 2 minutes, their mean, with
+    # 7.5, after 1; the peer's mean after 8 of its 10.
+    assert peer[2:] == ["8, 4", "10.0", "8.00", "1.00", "1.00, 2.00", "8.0"]
+    assert ours[2:] == ["100, 50", "10.0", "", "", "", ""]
     data.loc[data["part"] == race.OURS, "return_mean"] -= 100
-    assert race.rows(data)[1][4:] == ["never, never", "never", "–"]
+    assert race.rows(data)[1][4:] == ["8.00", "never", "never, never", "–"]
 
 
 def test_trials_show_every_seed_of_a_change_also_those_cut_off():

@@ -9,6 +9,7 @@ import sys
 
 import gymnasium as gym
 import harness
+import numpy as np
 import pytest
 from benchmark import common
 from benchmark.__main__ import make_parser
@@ -73,6 +74,31 @@ def test_the_environment_of_your_own_is_checked_and_played(here):
     out = subprocess.run([sys.executable, *harness.STRICT, "my_module.py"], check=True, text=True,
                          capture_output=True).stdout
     assert "return with random actions" in out
+
+
+def test_a_wrapper_of_your_own_makes_a_flat_box_and_can_be_drawn():
+    class MyEnv(gym.Env):
+        metadata = {"render_modes": ["rgb_array"]}
+        observation_space = gym.spaces.Dict(x=gym.spaces.Box(-1.0, 1.0, (2,)),
+                                            mode=gym.spaces.Discrete(3))
+        action_space = gym.spaces.Box(-1.0, 1.0, (1,))
+
+        def __init__(self, render_mode=None):
+            self.render_mode = render_mode
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            return self.observation_space.sample(), {}
+
+        def render(self):
+            return np.zeros((4, 4, 3), np.uint8)
+
+    exec(snippet("FlattenObservation"), {"gym": gym, "MyEnv": MyEnv})
+    make_envs = importlib.import_module("ppo_continuous").make_envs
+    envs = make_envs("My-v0", 1, "NextStep", render_mode="rgb_array_list")
+    envs.reset(seed=1)
+    assert envs.single_observation_space.shape == (5,)
+    assert len(envs.render()[0]) == 1
 
 
 def test_the_loop_of_your_own_runs(here, capsys):

@@ -5,7 +5,7 @@ from benchmark import common
 from benchmark.common import A2C, PPO, REINFORCE, number
 
 FIGURES = ()
-METRICS = "approximate_kl", "explained_variance"
+METRICS = {"approximate_kl": 3, "explained_variance": 2}  # digits that are shown
 CHEETAH = "--env-id HalfCheetah-v5 --total-steps 300000"
 CHANGES = {  # its number in the sheet: script, flags, patch
     "REINFORCE as it is": (REINFORCE, "", ""),
@@ -40,7 +40,7 @@ def jobs(quick):
 def measure(job):
     """Also the median over all updates of each metric that the script has."""
     rows = common.train(job)
-    metrics = pd.read_csv(common.run_folder(job) / "metrics.csv").reindex(columns=METRICS)
+    metrics = pd.read_csv(common.run_folder(job) / "metrics.csv").reindex(columns=list(METRICS))
     return rows.assign(**metrics.median())
 
 
@@ -51,17 +51,18 @@ def report(data, draw):
     rows, unchanged = [], None
     for name in CHANGES:
         x = last[last["part"] == name]
-        returns = [", ".join(number(y, 0) for y in x[column])
-                   for column in ("return_mean", "train_return")]
-        p = "–"
+        gain = p = "–"
         if "as it is" in name:
             unchanged = x["return_mean"]
         elif unchanged.std() > 0:  # else Welch's test does not apply
             test = ttest_ind(x["return_mean"], unchanged, equal_var=False)
             p = number(test.pvalue, 3) if test.pvalue >= 0.001 else "< 0.001"
-        metrics = ["–" if x[column].isna().all() else number(x[column].median(), 3)
-                   for column in METRICS]
-        rows.append([name, *returns, p, *metrics, number(x["seconds"].median() / 60)])
-    header = ["exercise", "return in evaluation, each seed", "in training, last 100 episodes", "p",
-              *(f"`{column}`" for column in METRICS), "minutes"]
+            mean, margin = common.difference(x["return_mean"], unchanged)
+            gain = f"{number(mean, 0)} ± {number(margin, 0)}"
+        returns = ", ".join(number(y, 0) for y in x["return_mean"])
+        metrics = ["–" if x[column].isna().all() else ", ".join(number(y, n) for y in x[column])
+                   for column, n in METRICS.items()]
+        rows.append([name, returns, gain, p, *metrics, number(x["seconds"].median() / 60)])
+    header = ["exercise", "return in evaluation, each seed", "difference, 95%", "p",
+              *(f"`{column}`, each seed" for column in METRICS), "minutes"]
     return {"answers": common.table(header, rows)}

@@ -66,37 +66,48 @@ def report(data, draw):
         if len(x):
             tables[name] = common.table(
                 ["task", "learner", "final return, each seed", "minutes, median",
-                 "minutes until each of our seeds has the mean of these returns",
-                 "until the mean of ours has it", "ratio"], rows(x))
+                 "minutes to the goal: its mean", "the mean of ours", "each seed of ours",
+                 "ratio of the means"], rows(x))
             draw(picture(x, script), f"{name}_race")
     return tables
 
 
 def rows(data):
-    """For each learner: final returns, minutes, when ours had their mean, how many times sooner.
+    """For each learner: final returns, minutes, and how soon it and ours reach their mean.
 
-    When each of our seeds had it, and when the mean of our seeds had.
+    That mean is the goal. Both have reached it when the mean of their seeds first has.
     """
     found = []
     for env_id, runs in data.groupby("env_id", sort=False):
         ours = runs[runs["part"] == OURS]
-        mean_of_ours = ours.groupby("env_step")[["minutes", "return_mean"]].mean()
         for learner in LEARNERS:
             x = runs[runs["part"] == learner]
             last = x.groupby("seed")[["minutes", "return_mean"]].last()
-            goal = last["return_mean"].mean()
-            passed = ours[ours["return_mean"] >= goal].groupby("seed")["minutes"].first()
-            passed = passed.reindex(ours["seed"].unique(), fill_value=math.inf)
-            together = mean_of_ours["minutes"][mean_of_ours["return_mean"] >= goal].min()
-            minutes = last["minutes"].median()  # something else may have run beside one of them
-            rest = ["", "", ""]
+            goal = mean_course(x)["return_mean"].iloc[-1]
+            times = [first_time(mean_course(x), goal), first_time(mean_course(ours), goal)]
+            seeds = [first_time(y, goal) for _, y in ours.groupby("seed")]
+            ratio = times[0] / times[1]
+            rest = ["", "", "", ""]
             if learner != OURS:
-                rest = [", ".join(f"{y:.2f}" if y < math.inf else "never" for y in passed),
-                        "never" if math.isnan(together) else f"{together:.2f}",
-                        "–" if math.isnan(together) else f"{minutes / together:.1f}"]
+                rest = [*(clock(y) for y in times), ", ".join(clock(y) for y in seeds),
+                        f"{ratio:.1f}" if ratio > 0 else "–"]
             found.append([env_id, learner, ", ".join(number(y, 0) for y in last["return_mean"]),
-                          number(minutes), *rest])
+                          number(last["minutes"].median()), *rest])
     return found
+
+
+def mean_course(runs):
+    """Of all seeds; something else may have run beside one of them, hence the median minutes."""
+    return runs.groupby("env_step").agg({"minutes": "median", "return_mean": "mean"})
+
+
+def first_time(course, goal):
+    """Minutes until the return is at least the goal, or infinity."""
+    return min(course["minutes"][course["return_mean"] >= goal], default=math.inf)
+
+
+def clock(minutes):
+    return f"{minutes:.2f}" if minutes < math.inf else "never"
 
 
 def picture(data, script):

@@ -82,7 +82,7 @@ def score(runs):
             rows.append([name, actions, f"{reached} of {sum(map(len, signs.values()))}",
                          *(", ".join(signs[sign]) or "–" for sign in (1, 0, -1))])
     return common.table(["published on", "our actions", "our mean is at or above",
-                         "beyond its 95% interval", "within it", "below it"], rows)
+                         "clearly above (95%)", "not told apart", "clearly below"], rows)
 
 
 def report(data, draw):
