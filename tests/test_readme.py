@@ -78,7 +78,7 @@ def test_the_environment_of_your_own_is_checked_and_played(here):
 
 def test_a_wrapper_of_your_own_makes_a_flat_box_and_can_be_drawn():
     class MyEnv(gym.Env):
-        metadata = {"render_modes": ["rgb_array"]}
+        metadata = {"render_modes": ["rgb_array"], "render_fps": 20}
         observation_space = gym.spaces.Dict(x=gym.spaces.Box(-1.0, 1.0, (2,)),
                                             mode=gym.spaces.Discrete(3))
         action_space = gym.spaces.Box(-1.0, 1.0, (1,))
