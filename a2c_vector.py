@@ -8,8 +8,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
-agents with seeds 1 to 10 have mean returns of 209 to 267 on one processor and 179 to 274 on
-another; 200 counts as solved.
+agents with seeds 1 to 10 earn 209 to 267, on another processor 179 to 274; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
