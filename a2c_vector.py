@@ -179,7 +179,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J, up to scale.
+    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J up to scale, without γ^t.
 
     Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
     E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise

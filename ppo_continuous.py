@@ -297,7 +297,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
-        # Step 5: update actor and critic. After an update that was cut short, steps are smaller.
+        # Step 5: update actor and critic; after a cut-short one in smaller steps, then larger.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace

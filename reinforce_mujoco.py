@@ -32,7 +32,7 @@ sum of rewards. To this end an action is made the more likely, the higher the re
 This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
 rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
 σ, orthogonal weights, small in the last layer of π, a factor γ^t left out (`policy_loss`).
-Clipping actions to their bounds is a part of the environment; log π is that of the action before.
+Clipping actions to their bounds is a part of the environment, so log π is that of unclipped ones.
 The critic is trained with every baseline, as step 3 needs it.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
@@ -152,7 +152,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J, up to scale.
+    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J up to scale, without γ^t.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
