@@ -7,8 +7,8 @@
 
     python a2c_vector.py --seed 1 2 3
 
-trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes, the
-agents with seeds 1 to 10 earn 209 to 267, on another processor 179 to 274; 200 counts as solved.
+trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes,
+seeds 1 to 10 reach returns of 209 to 267, on another processor 179 to 274; 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -21,22 +21,22 @@ action is than what π does on average. If A > 0, the action is made more likely
   1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
-     Q(s,a); least squares learns its mean over the actions of π, which is V(s).
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
+     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
 stands in for rewards still to come (bootstrapping). A3C's workers [1] update shared weights without
-waiting for each other; A2C makes one update once all have stepped. Here it uses GAE [2].
-The rest are implementation details: learning-rate annealing, observation normalisation and
+waiting for each other; A2C makes one update when all have made T steps. Here it uses GAE [2].
+All else is implementation detail: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
-the last layer of π, gradient clipping, Adam's eps, and A3C's bonus for entropy, so that π explores.
+the last layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, so that π explores.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
-An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
+An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -95,7 +95,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension; 0 and 1 before the first."""
+    """Mean and variance of all rows seen so far, for each dimension; at first 0 and 1."""
 
     def __init__(self, shape):
         super().__init__()
@@ -133,9 +133,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); the observations to go on from; return and length
+    Returns transitions, float tensors (T, N, …); observations to go on from; step, return, length
     of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
-    followed the action, even at the end of an episode. `env_step`: steps taken before.
+    followed the action; only then are those that are done reset. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -169,8 +169,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    A_t is the discounted sum of all rewards up to the end and of V there, minus V(s_t), as the
-    values in between cancel: less bias, but the luck of all later steps (variance).
+    the values in between cancel, and A_t is the discounted sum of all rewards up to the end and of
+    V there, minus V(s_t): less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -179,28 +179,28 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T·N,). Its gradient estimates −∇J up to scale, without γ^t.
+    """−mean(A·log π); log π and A are (T·N,). Its gradient approximates −∇J, up to scale.
 
-    Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
-    E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise
-    J = E[V(s_0)]. Given s and a, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
+    The actions must be drawn from the current π, so a rollout is used only once.
+
+    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient in π's parameters; E
+    averages over all that is not given: the first state s_0, actions, rewards r, next states s'. We
+    maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on π, so ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = Σ_a [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)]   product rule for V(s) = Σ_a π·Q
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇Σ_a π = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      insert ∇V(s') again and again
 
-    Subtracting V(s), a baseline, does not change this mean, and usually removes much of its noise.
-    As usual, γ^t is left out, so that late steps count fully; the result is not quite ∇J.
-
-    The actions must be drawn from the current π, so a rollout is used only once.
+    Subtracting V(s), a baseline, leaves this mean as it is, but usually makes estimates of it much
+    less noisy. As usual, γ^t is left out, so late steps count fully; the result is not quite ∇J.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # Like V, the mean is (nearly) a baseline; dividing by the std sets the scale.
+    # The mean of A is (nearly) one more baseline, like V; the std sets the scale of the loss.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
@@ -212,7 +212,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
         nn.utils.clip_grad_norm_(network.parameters(), args.max_grad_norm)
     optimizer.step()
     metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "entropy": entropy,
-               # R − V is `advantages`. 1: exact but for an offset; ≤ 0: no better than a constant.
+               # `advantages` are R − V. 1 is perfect, up to an offset; 0 is as good as a constant.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var()}
     return {name: x.item() for name, x in metrics.items()}
 
@@ -220,7 +220,7 @@ def optimise(agent, optimizer, batch, args, entropy_coef):
 def make_optimizer(agent):
     """Adam for actor and critic; `train` sets the learning rates."""
     groups = [{"params": agent.actor.parameters()}, {"params": agent.critic.parameters()}]
-    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps steps of gradients < 1e-5
+    return torch.optim.Adam(groups, eps=1e-5, fused=True)  # eps damps steps if gradients < 1e-5
 
 
 def train(args, seed, envs, agent, optimizer, env_step):
@@ -252,7 +252,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
 
 
 class RandomPhysics(gym.Wrapper):
-    """For training on LunarLander: each episode has its own gravity and wind, unseen by π [4]."""
+    """`--randomize`: each episode of training has its own gravity and wind, unseen by π [4]."""
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
@@ -273,25 +273,25 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="environment steps, at least")
+    add("--total-steps", type=number(int, 1), default=1_000_000, help="minimum environment steps")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="resume in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action="store_true", help="LunarLander: train in changing physics")
-    add("--rollout-steps", type=number(int, 1), default=64, help="steps per environment")
+    add("--rollout-steps", type=number(int, 1), default=64, help="rollout steps per environment")
     add("--reward-scale", type=number(float, 0), default=0.1, help="multiplies rewards in training")
     add("--learning-rate", type=number(float, 0), default=2e-3, help="initial, actor")
     add("--critic-learning-rate", type=number(float, 0), default=3e-3, help="initial, critic")
     add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 relies on V, 1 on rewards")
     add("--entropy-coef", type=number(float, 0), default=0.01, help="initial weight of the entropy")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="largest gradient norm")
+    add("--max-grad-norm", type=number(float, 0), default=0.5, help="largest, per network")
     add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
     return parse_and_check(parser, argv)
 
@@ -309,7 +309,7 @@ def number(kind, low, high=1e12):
 
 
 # ==================================================================================================
-# From here on: nothing about the algorithm
+# Nothing below is about the algorithm
 # ==================================================================================================
 
 
@@ -318,13 +318,13 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=Fal
     envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics, *([RandomPhysics] if randomize else [])], **kwargs)
-    # Checked after conversion to float32 ("f4"), so that an overflow there is caught, too.
+    # Checked as float32 ("f4"), so that an overflow is caught, too.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
+    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -394,7 +394,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # the process that started this one was killed; nobody waits
+                return  # the parent process was killed, so stop, too
             start = time.perf_counter()
 
 
@@ -431,7 +431,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. A checkpoint's options (not its device) become the defaults."""
+    """Check the options. A checkpoint's options (not its device) become the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

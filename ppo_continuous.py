@@ -8,7 +8,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents in parallel to balance a double pendulum on a cart. After 150,000 steps, about
-a minute, the agents with seeds 1 to 5 balance it in every episode of the last evaluation.
+a minute, they balance it in every episode of the last evaluation; so do seeds 4 and 5.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -18,26 +18,26 @@ expected return from s on; the action value Q(s,a) is the expected return if a i
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
 action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
 
-  1. Anneal linearly: the learning rate to 0; the σ of π, a Gaussian around μ(s), from 0.6 to 0.1.
+  1. Anneal linearly: the learning rate to 0; σ from 0.6 to 0.1, where π is Gaussian, N(μ(s), σ²).
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
-  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s). R is a noisy estimate of
-     Q(s,a); least squares learns its mean over the actions of π, which is V(s).
-  5. Let π_old be the policy that played the rollout. For several epochs, for each minibatch of
-     shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl, go to 6 and take
-     smaller steps next time. Else standardise A over the minibatch, let ρ = π(a|s) / π_old(a|s),
-     and take a step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
+  4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
+     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
+  5. Reuse the rollout for several epochs, but keep π near π_old, the policy that played it. For
+     each minibatch of shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl,
+     lower the learning rate and go to 6. Else standardise A over it, let ρ = π(a|s)/π_old(a|s), and
+     take an Adam step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
-The rest are implementation details, many described in [4]: observation normalisation and
+All else is implementation detail, many described in [4]: observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
 the last layer of π, tanh squashing, and a KL limit that ends an update.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ mean (the actor's output) and σ standard deviation of π.
 Shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation, K in an action.
-An episode is `terminated` if it ended for good (a fall, a landing), `truncated` if time ran out,
+An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -77,7 +77,7 @@ class Agent(nn.Module):
         # The small output gain makes π nearly the same in every state at first.
         self.actor = mlp(inputs, args.hidden_size, outputs, output_gain=0.01)
         self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
-        self.return_stats = RunningStatistics(())  # for `scale_rewards`; saved with the rest
+        self.return_stats = RunningStatistics(())  # for `scale_rewards`
         self.register_buffer("std", torch.tensor(args.first_std))  # the same for all s; annealed
 
     def policy(self, obs):
@@ -99,12 +99,12 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """Maps actions a (N, K) into bounds. log π is that of a, as tanh's derivative cancels in ρ."""
+    """`make_envs` maps actions a (N, K) into bounds; log π is that of a, as tanh' cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension; 0 and 1 before the first."""
+    """Mean and variance of all rows seen so far, for each dimension; at first 0 and 1."""
 
     def __init__(self, shape):
         super().__init__()
@@ -142,9 +142,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); the observations to go on from; return and length
+    Returns transitions, float tensors (T, N, …); observations to go on from; step, return, length
     of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
-    followed the action, even at the end of an episode. `env_step`: steps taken before.
+    followed the action; only then are those that are done reset. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -168,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    V estimates sums of later rewards. F discounts past ones in the same way, so its spread is
-    similar, but it is known at once. `past_return` carries F from call to call: (N,), or 0.
+    So the targets of V, sums of later rewards, have a similar size in every task. F sums past ones:
+    its spread is similar, but it is known at once. `past_return` carries F to the next call: (N,).
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -194,8 +194,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    A_t is the discounted sum of all rewards up to the end and of V there, minus V(s_t), as the
-    values in between cancel: less bias, but the luck of all later steps (variance).
+    the values in between cancel, and A_t is the discounted sum of all rewards up to the end and of
+    V there, minus V(s_t): less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -206,23 +206,23 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    Here V, Q and A are the true values of π, ∇ is the gradient with respect to its parameters, and
-    E the mean over what is random: first state s_0, actions, rewards r, next states s'. We maximise
-    J = E[V(s_0)]. Given s and a, the parameters change neither r nor s', so ∇Q = E[γ·∇V(s')].
+    At π = π_old the gradient of mean(ρ·A) approximates ∇J (below) up to scale; elsewhere less well,
+    as states and advantages are still those of π_old. So the clip takes a sample's gradient away
+    once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
+    min selects the unclipped term, which leads back. Others may still push ρ on: hence max_kl.
+
+    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient in π's parameters; E
+    averages over all that is not given: the first state s_0, actions, rewards r, next states s'. We
+    maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on π, so ∇Q = E[γ·∇V(s')].
 
         ∇V(s) = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da  product rule for V(s) = ∫ π·Q da
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]        ∇π = π·∇log π;  Q = E[r + γ·V(s')]
               = E[A(s,a)·∇log π(a|s) + γ·∇V(s')]        A = Q − V;  E[V·∇log π] = V·∇∫π da = 0
-        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      ∇V(s') unrolled over time
+        ∇J = E[Σ_t γ^t·A(s_t,a_t)·∇log π(a_t|s_t)]      insert ∇V(s') again and again
            = E[Σ_t γ^t·A(s_t,a_t)·∇ρ_t]  at π = π_old   ∇ρ = ∇π/π_old = ∇log π
 
-    Subtracting V(s), a baseline, does not change this mean, and usually removes much of its noise.
-    As usual, γ^t is left out, so that late steps count fully; the result is not quite ∇J.
-
-    At π = π_old the gradient of mean(ρ·A) estimates this, up to scale; elsewhere less exactly, as
-    states and advantages are still those of π_old. So the clip takes a sample's gradient away once
-    ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way, min
-    selects the unclipped term, which leads back. Other samples may still push ρ on: hence max_kl.
+    Subtracting V(s), a baseline, leaves this mean as it is, but usually makes estimates of it much
+    less noisy. As usual, γ^t is left out, so late steps count fully; the result is not quite ∇J.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -246,7 +246,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # Like V, the mean is (nearly) a baseline; dividing by the std sets the scale.
+            # The mean is (nearly) one more baseline, like V; the std sets the scale of the loss.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -264,7 +264,7 @@ def diagnose(agent, batch, args):
     ratio = log_ratio.exp()
     metrics = {"policy_loss": policy_loss(ratio, batch.advantages, args.clip_eps),
                "value_loss": (batch.advantages**2).mean() / 2,
-               # R − V is `advantages`. 1: exact but for an offset; ≤ 0: no better than a constant.
+               # `advantages` are R − V. 1 is perfect, up to an offset; 0 is as good as a constant.
                "explained_variance": 1 - batch.advantages.var() / batch.targets.var(),
                "approximate_kl": approximate_kl(log_ratio),
                "clip_fraction": ((ratio - 1).abs() > args.clip_eps).float().mean()}
@@ -297,7 +297,7 @@ def train(args, seed, envs, agent, optimizer, env_step):
         batch.advantages = compute_gae(batch.rewards, values, next_values, batch.terminated,
                                        batch.done, args.gamma, args.gae_lambda)
         batch.targets = batch.advantages + values
-        # Step 5: update actor and critic; after a cut-short one in smaller steps, then larger.
+        # Step 5: update actor and critic; if cut short, lower `pace`, else let it recover.
         batch = SimpleNamespace(**{name: x.flatten(0, 1) for name, x in vars(batch).items()})
         finished = optimise(agent, optimizer, batch, args)
         pace = min(1.05 * pace, 1.0) if finished else 0.8 * pace
@@ -317,17 +317,17 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=150_000, help="environment steps, at least")
+    add("--total-steps", type=number(int, 1), default=150_000, help="minimum environment steps")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="continue, in a new folder")
+    add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="resume in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes per evaluation")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
-    add("--rollout-steps", type=number(int, 1), default=128, help="steps per environment")
-    add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
+    add("--rollout-steps", type=number(int, 1), default=128, help="rollout steps per environment")
+    add("--epochs", type=number(int, 1), default=10, help="maximum passes over a rollout")
     add("--minibatch-size", type=number(int, 2), default=512, help="transitions in a minibatch")
     add("--learning-rate", type=number(float, 0), default=1e-3, help="initial, of both networks")
     add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
@@ -353,7 +353,7 @@ def number(kind, low, high=1e12):
 
 
 # ==================================================================================================
-# From here on: nothing about the algorithm
+# Nothing below is about the algorithm
 # ==================================================================================================
 
 
@@ -363,13 +363,13 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.RecordEpisodeStatistics], **kwargs)
     envs = gym.wrappers.vector.TransformAction(envs, lambda a: squash(a, envs.action_space))
-    # Checked after conversion to float32 ("f4"), so that an overflow there is caught, too.
+    # Checked as float32 ("f4"), so that an overflow is caught, too.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
+    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -438,7 +438,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict(), "optimizer": optimizer.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # the process that started this one was killed; nobody waits
+                return  # the parent process was killed, so stop, too
             start = time.perf_counter()
 
 
@@ -475,7 +475,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. A checkpoint's options (not its device) become the defaults."""
+    """Check the options. A checkpoint's options (not its device) become the defaults."""
     args = parser.parse_args(argv)
     if path := args.resume or args.watch:
         try:

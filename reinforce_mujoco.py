@@ -8,18 +8,18 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents in parallel to balance a pole on a cart. Each step with the pole upright earns
-1, for at most 1000 steps. After 100,000 steps, within a minute, the agents with seeds 1 to 5 all
-earn 1000 in the last evaluation, where they take the mean of π instead of a random action.
+1, for at most 1000 steps. After 100,000 steps, within a minute, they all earn 1000 in
+the last evaluation, where they take the mean of π, not a random action; so do seeds 4 and 5.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
-answers with a reward r and the next state, until the episode ends. The goal is a high return, the
-sum of rewards. To this end an action is made the more likely, the higher the return that followed:
+answers with a reward r and the next state, until the episode ends. The goal is a high sum of
+rewards. So the higher the return G that followed an action, the more likely the action is made:
 
   1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
   3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
-     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy, but sees less far ahead. After
+     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy, but more short-sighted. After
      the last step, G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were
      still to come, and G_T = V(s_T), as predicted by a second network, the critic [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
@@ -29,10 +29,10 @@ sum of rewards. To this end an action is made the more likely, the higher the re
   5. Take an Adam step, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
      Discard the batch: the next update needs actions of the new π. Repeat from 1.
 
-This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. The
-rest are implementation details: annealing, Adam, a mean over the steps of a batch, a lower bound on
-σ, orthogonal weights, small in the last layer of π, a factor γ^t left out (`policy_loss`).
-Clipping actions to their bounds is a part of the environment, so log π is that of unclipped ones.
+This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. All
+else is implementation detail: V(s_T) at a time limit, annealing, Adam, a mean over the steps of a
+batch, a lower bound on σ, orthogonal initial weights, small in the last layer of π, a factor γ^t
+left out (`policy_loss`). The environment clips actions; log π is that of the unclipped action.
 The critic is trained with every baseline, as step 3 needs it.
 
 Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
@@ -81,7 +81,7 @@ class Agent(nn.Module):
         """Observations (…, D) -> π(·|s), a distribution over actions."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
         # The lower bound on σ keeps π exploring and gradients moderate: ∂log π/∂μ = (a − μ)/σ² has
-        # the standard deviation 1/σ, which is at most 10.
+        # standard deviation 1/σ ≤ 10.
         std = nn.functional.softplus(raw_std) + 0.1
         gaussians = torch.distributions.Normal(mean, std, validate_args=False)
         return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
@@ -111,9 +111,10 @@ def mlp(inputs, hidden, outputs, output_gain):
 
 
 def rollout(envs, agent, args, env_step):
-    """Steps 2 and 3: whole episodes, one after the other. `envs` is a vector of one environment.
+    """Steps 2 and 3: whole episodes, one after the other.
 
-    Returns the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and return and
+    `envs` is a vector of one environment that does not reset itself, so `obs` ends at s_T. Returns
+    the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and step, return and
     length of each episode. `env_step`: steps taken before.
     """
     steps, returns, episodes = [], [], []
@@ -152,19 +153,19 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient estimates −∇J up to scale, without γ^t.
+    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J, up to scale.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
-    mean over what is random: the first state s_0, actions, rewards r, next states s'. The objective
-    is J = E[V(s_0)]. Given s and a, the weights change neither r nor s', so ∇Q = E[γ·∇V(s')].
-    Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
+    mean over all that is not given: the first state s_0, actions, rewards r, next states s'. We
+    maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on the weights, so
+    ∇Q = E[γ·∇V(s')]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
 
         ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
               = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
               = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]          ∇π = π·∇log π;  Q = E[r + γ·V(s')]
         ∇J = E[∇V(s_0)]
-           = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        ∇V(s') unrolled over time
+           = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        insert ∇V(s') again and again
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
     As usual, γ^t is left out, so that late steps count as much as early ones; strictly, what
@@ -176,9 +177,9 @@ def policy_loss(log_probs, advantages):
     returns are positive, then without a baseline every action that was tried is pushed up, bad ones
     just by less. With b ≈ V, those that turned out worse than expected are pushed down.
 
-    Small biases remain. The baseline `mean` depends on the actions, and so does the number of steps
-    that the loss is averaged over; larger batches reduce both biases. At a time limit, G_T is only
-    the critic's estimate.
+    Small biases remain. The baseline `mean`, which includes G_t, and the number of steps that the
+    loss is averaged over both depend on the actions; larger batches reduce these biases. At a time
+    limit, G_T is only the critic's estimate.
     """
     return -(advantages * log_probs).mean()
 
@@ -222,11 +223,11 @@ def parse_args(argv=None):
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
     add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=100_000, help="environment steps, at least")
+    add("--total-steps", type=number(int, 1), default=100_000, help="minimum environment steps")
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after the first")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes per batch")
@@ -250,7 +251,7 @@ def number(kind, low, high=1e12):
 
 
 # ==================================================================================================
-# From here on: nothing about the algorithm
+# Nothing below is about the algorithm
 # ==================================================================================================
 
 
@@ -259,13 +260,13 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
     envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
         lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
         gym.wrappers.ClipAction], **kwargs)
-    # Checked after conversion to float32 ("f4"), so that an overflow there is caught, too.
+    # Checked as float32 ("f4"), so that an overflow is caught, too.
     envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
     return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
 
 
 def make_seeds(seed, stream, count):
-    """Independent integers for each seed and stream: 0 PyTorch, 1 evaluation, 2 + k from step k."""
+    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
@@ -326,7 +327,7 @@ def run(index, args, folder):
                 save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
                               "agent": agent.state_dict()})
             if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # the process that started this one was killed; nobody waits
+                return  # the parent process was killed, so stop, too
             start = time.perf_counter()
 
 
@@ -362,7 +363,7 @@ def report(folder, env_id):
 
 
 def parse_and_check(parser, argv):
-    """Check options and task. A checkpoint's options become the defaults."""
+    """Check the options. A checkpoint's options become the defaults."""
     args = parser.parse_args(argv)
     if path := args.watch:
         try:
