@@ -123,7 +123,7 @@ def test_a_call_that_ends_early_keeps_its_rows_and_the_next_goes_on(study, tmp_p
 
 @pytest.mark.parametrize(("old", "new", "same"), [
     ("# --- The steps", "# --- Steps", True), ('"""PPO: prox', '"""The prox', True),
-    ('    """Step 2: T steps', '    """T steps', True), ('help="passes over', 'help="over', True),
+    ('    """Step 2: T steps', '    """T steps', True), ('help="maximum passes', 'help="passes', True),
     ("default=0.99,", "default=0.98,", False)])
 def test_only_what_python_executes_is_in_the_digest(old, new, same, tmp_path, monkeypatch):
     before = common.digest.__wrapped__(PPO)
@@ -225,6 +225,11 @@ def test_the_interval_of_a_gain_is_that_of_the_pairs():
     gap, margin = common.gain([1.0, 2, 3, 4, 5], [0.0, 0, 0, 0, 0])
     assert gap == pytest.approx(3)
     assert margin == pytest.approx(2.776 * math.sqrt(2.5 / 5), rel=1e-3)  # 4 degrees of freedom
+
+
+def test_holm_compares_the_smallest_p_with_the_smallest_limit():
+    # limits of 0.05/4, 0.05/3, 0.05/2, 0.05: the third smallest fails, so the largest does, too
+    assert ablation.passes_holm([0.04, 0.016, 0.03, 0.01]).tolist() == [False, True, False, True]
 
 
 def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():

@@ -98,7 +98,7 @@ def test_physics_differ_between_environments_episodes_and_seeds_and_repeat_with_
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12
 @pytest.mark.parametrize("method", [
     "fork", *(pytest.param(x, marks=pytest.mark.slow) for x in ("spawn", "forkserver"))])
-def test_processes_draw_the_same_physics_however_they_were_started(method):
+def test_several_processes_draw_what_a_single_one_would(method):
     if method not in multiprocessing.get_all_start_methods():
         pytest.skip(f"no {method} here")
     usual = multiprocessing.get_start_method(allow_none=True)

@@ -1,6 +1,7 @@
 """PPO with one detail changed at a time: what it loses, or gains."""
 
 import numpy as np
+import pandas as pd
 from benchmark import common
 from benchmark.common import PPO, number, spread
 
@@ -48,16 +49,37 @@ def jobs(quick):
 measure = common.train
 
 
-def effects(runs):
-    """For each change: returns, and mean and 95% interval of what each seed gains, in percent."""
-    runs = runs.assign(name=runs["part"].str.split(": ").str[1]).sort_values("seed")
-    usual = runs[runs["name"] == "defaults"]["return_mean"].to_numpy()
-    percent = 100 / abs(usual.mean())
-    for name in CHANGES:
-        x = runs[runs["name"] == name]["return_mean"].to_numpy()
-        if len(x) and name != "defaults":
-            mean, margin = common.gain(x, usual)
-            yield name, x, mean * percent, margin * percent
+def effects(last):
+    """For each task and change: what each seed gains, in percent of the defaults' mean.
+
+    A row has the returns, the mean gain, half its 95% interval, p of the paired t-test, and whether
+    p passes Holm's correction for the number of rows.
+    """
+    from scipy.stats import ttest_rel
+
+    found = []
+    for env_id, runs in last.sort_values("seed").groupby("env_id", sort=False):
+        returns = {name: runs["return_mean"][runs["part"] == f"{env_id}: {name}"].to_numpy()
+                   for name in CHANGES}
+        usual = returns.pop("defaults")
+        percent = 100 / abs(usual.mean())
+        for name, x in returns.items():
+            if len(x):
+                mean, margin = common.gain(x, usual)
+                found.append({"env_id": env_id, "name": name, "returns": x, "mean": mean * percent,
+                              "margin": margin * percent, "p": ttest_rel(x, usual).pvalue})
+    found = pd.DataFrame(found)
+    return found.assign(passes=passes_holm(found["p"]))
+
+
+def passes_holm(p_values, level=0.05):
+    """Which p-values stay below the level if corrected for their number (Holm 1979)."""
+    p_values = np.asarray(p_values)
+    limits = level / np.arange(len(p_values), 0, -1)  # for the smallest, the next, ...
+    order = np.argsort(p_values)
+    passes = np.empty(len(p_values), dtype=bool)
+    passes[order] = np.logical_and.accumulate(p_values[order] <= limits)
+    return passes
 
 
 def report(data, draw):
@@ -65,13 +87,13 @@ def report(data, draw):
     jobs_done = last.groupby("env_id")["seed"].count()
     last = last[last["env_id"].map(jobs_done) == jobs_done.max()]  # the rest is on its way
     tables = {table_name(env_id): "Not measured yet with the current files." for env_id in TASKS}
-    found = {}
-    for env_id, runs in last.groupby("env_id", sort=False):
-        found[env_id] = sorted(effects(runs), key=lambda x: x[2])
-        rows = [[name, *spread(x, 0), f"{number(gap, 0)} ± {number(margin, 0)} %"]
-                for name, x, gap, margin in found[env_id]]
-        usual = runs[runs["part"].str.endswith(": defaults")]["return_mean"]
-        rows.insert(0, ["defaults", *spread(usual, 0), ""])
+    found = effects(last)
+    for env_id, changes in found.groupby("env_id"):
+        usual = last["return_mean"][last["part"] == f"{env_id}: defaults"]
+        rows = [["defaults", *spread(usual, 0), ""]]
+        for x in changes.sort_values("mean").itertuples():
+            gain = f"{number(x.mean, 0)} ± {number(x.margin, 0)} %"
+            rows.append([x.name, *spread(x.returns, 0), f"**{gain}**" if x.passes else gain])
         title = f"{env_id}, {TASKS[env_id]:,} steps"
         header = [title, "mean ± std", "every seed", "gain of each seed, mean and 95%"]
         tables[table_name(env_id)] = common.table(header, rows)
@@ -84,20 +106,19 @@ def table_name(env_id):
 
 
 def picture(found):
-    """A dot and a 95% interval for each change; the dot is filled if the interval is without 0."""
-    means = {}
-    for effects_of_task in found.values():
-        for name, _, gap, _ in effects_of_task:
-            means.setdefault(name, []).append(gap)
-    names = sorted(means, key=lambda name: np.mean(means[name]))
-    figure = common.figure(3 + 3.5 * len(found), 0.32 * len(names) + 1.4)
-    panels = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
-    for axis, (env_id, effects_of_task) in zip(panels, found.items()):
-        for name, _, gap, margin in effects_of_task:
-            axis.errorbar(gap, -names.index(name), xerr=margin, fmt="o", capsize=3, color="C0",
-                          markerfacecolor="C0" if abs(gap) > margin else "white")
+    """A dot and a 95% interval for each change, sorted by the mean over tasks."""
+    names = found.groupby("name")["mean"].mean().sort_values().index
+    tasks = found["env_id"].unique()
+    figure = common.figure(3 + 3 * len(tasks), 0.32 * len(names) + 1.6)
+    panels = figure.subplots(1, len(tasks), sharex=True, sharey=True, squeeze=False)[0]
+    for axis, env_id in zip(panels, tasks):
+        for x in found[found["env_id"] == env_id].itertuples():
+            fill = "C0" if x.passes else "#a6cee3" if abs(x.mean) > x.margin else "white"
+            axis.errorbar(x.mean, -names.get_loc(x.name), xerr=x.margin, fmt="o", capsize=3,
+                          color="C0", markerfacecolor=fill)
         axis.axvline(0, color="grey", linewidth=0.8)
-        axis.set(title=env_id, xlabel="change of the return, % of the defaults'",
+        axis.set(title=env_id, xlabel="change of the return, %",
                  yticks=[-i for i in range(len(names))], yticklabels=names)
-    figure.suptitle("PPO with a detail changed, 95% intervals (filled: they exclude 0)")
+    figure.suptitle("PPO with a detail changed: mean of the seeds, 95% interval. White: includes 0,"
+                    "\nlight: excludes 0, dark: excludes 0 also after Holm's correction")
     return figure

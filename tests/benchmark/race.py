@@ -111,16 +111,27 @@ def clock(minutes):
 
 
 def picture(data, script):
-    """A logarithmic axis, for ours are done when the others have just begun."""
+    """Every seed, the mean in bold, and dashed the goals; minutes on a logarithmic axis."""
+    data = data[data["minutes"] > 0.02]
     env_ids = data["env_id"].unique()
-    grid = sns.relplot(data[data["minutes"] > 0.02], x="minutes", y="return_mean", hue="part",
-                       hue_order=LEARNERS, col="env_id", units="seed", estimator=None, kind="line",
-                       height=3.2, facet_kws={"sharey": False}, aspect=1 if len(env_ids) > 1 else 2)
+    grid = sns.relplot(data, x="minutes", y="return_mean", hue="part", hue_order=LEARNERS,
+                       col="env_id", units="seed", estimator=None, kind="line", linewidth=0.7,
+                       alpha=0.35, height=3.6, aspect=1 if len(env_ids) > 1 else 2,
+                       facet_kws={"sharey": False, "legend_out": False})
     grid.set(xscale="log").set_titles("{col_name}")
-    grid.set_axis_labels("minutes of training", "return in evaluation")
-    grid.legend.set_title("")
-    for axis in grid.axes.flat:
+    grid.set_axis_labels("minutes of training (logarithmic)", "return in evaluation")
+    for env_id, axis in grid.axes_dict.items():
+        for i, learner in enumerate(LEARNERS):
+            runs = data[data["env_id"].eq(env_id) & data["part"].eq(learner)]
+            mean = mean_course(runs).set_index("minutes")["return_mean"]
+            axis.plot(mean, color=f"C{i}", linewidth=2.2)
+            if learner != OURS:
+                axis.axhline(mean.iloc[-1], color=f"C{i}", linestyle="--", linewidth=1.2)
         axis.xaxis.set_major_formatter("{x:g}")
+    sns.move_legend(grid, "upper center", bbox_to_anchor=(0.5, 0), ncols=3, title="",
+                    frameon=False)
+    for line in grid.legend.get_lines():
+        line.set(alpha=1, linewidth=2.2)
     if script == A2C:
-        grid.set(ylim=(-600, 300)).set_titles("{col_name} (cut at −600)")
+        grid.set(ylim=(-600, 300), xlim=(0.08, None)).set_titles("{col_name} (cut at −600)")
     return grid

@@ -109,8 +109,8 @@ def report(data, draw):
         "reinforce": successes(last[last["script"] == REINFORCE]),
         "a2c": successes(last[last["script"] == A2C]),
         "pendulum": successes(last[last["script"].eq(PPO) & last["part"].ne(MILLION)]),
-        "usual": common.table(["file", "its idea", "task", "last return, mean ± std", "every seed",
-                                "steps", "minutes a run, two at a time"], usual),
+        "usual": common.table(["file", "its idea", "task", "final return, mean ± std", "every seed",
+                                "steps", "minutes, two runs at a time"], usual),
     }
 
 
@@ -156,15 +156,20 @@ def curve(data, draw, script):
 
 
 def panels(data):
-    """A panel per task: mean, lowest and highest over seeds, and what was published."""
-    grid = sns.relplot(common.in_bins(data, "return_mean", "env_id"), x="env_step", y="return_mean",
+    """A panel per task: every seed, their mean in bold, and what was published."""
+    courses = common.in_bins(data, "return_mean", "env_id")
+    grid = sns.relplot(courses, x="env_step", y="return_mean", units="seed", estimator=None,
                        col="env_id", col_wrap=min(5, data["env_id"].nunique()), kind="line",
-                       errorbar=("pi", 100), height=2.6, aspect=0.9,
+                       linewidth=1, alpha=0.4, height=2.6, aspect=0.9,
                        facet_kws={"sharex": False, "sharey": False})
     grid.set_titles("{col_name}").set_ylabels("return in evaluation")
     for env_id, axis in grid.axes_dict.items():
-        axis.axhline(PUBLISHED[env_id][0], color="grey", linestyle="--", linewidth=1)
+        mean = courses[courses["env_id"] == env_id].groupby("env_step")["return_mean"].mean()
+        axis.plot(mean, color="C0", linewidth=2.5)
+        axis.axhline(PUBLISHED[env_id][0], color="grey", linestyle="--", linewidth=1.2)
+        if env_id in PUBLISHED_V5:
+            axis.axhline(PUBLISHED_V5[env_id][0], color="grey", linestyle=":", linewidth=1.5)
         common.steps_axis(axis)
-    grid.figure.suptitle(f"PPO, {data['seed'].nunique()} seeds: mean, lowest, highest; "
-                         "dashed: the highest mean published for older versions", y=1.02)
+    grid.figure.suptitle(f"PPO, {data['seed'].nunique()} seeds and their mean (bold). Highest mean "
+                         "published for older versions: dashed, for -v5: dotted", y=1.02)
     return grid
