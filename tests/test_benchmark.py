@@ -123,7 +123,7 @@ def test_a_call_that_ends_early_keeps_its_rows_and_the_next_goes_on(study, tmp_p
 
 @pytest.mark.parametrize(("old", "new", "same"), [
     ("# --- The steps", "# --- Steps", True), ('"""PPO: prox', '"""The prox', True),
-    ('    """Step 2: T steps', '    """T steps', True), ('help="maximum passes', 'help="passes', True),
+    ('    """Step 2: T steps', '    """T steps', True), ('help="maximum', 'help="', True),
     ("default=0.99,", "default=0.98,", False)])
 def test_only_what_python_executes_is_in_the_digest(old, new, same, tmp_path, monkeypatch):
     before = common.digest.__wrapped__(PPO)
