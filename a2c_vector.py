@@ -133,9 +133,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); observations to go on from; step, return, length
-    of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
-    followed the action; only then are those that are done reset. `env_step`: steps taken before.
+    Returns transitions, float tensors (T, N, …); the next observations; step, return and length of
+    each episode that ended. Environments do not reset themselves, so `next_obs` is always what
+    followed the action; finished ones are reset afterwards. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -200,7 +200,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # The mean of A is (nearly) one more baseline, like V; the std sets the scale of the loss.
+    # The mean is a baseline (nearly: A is part of it); the std sets the scale of the loss.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
@@ -309,7 +309,7 @@ def number(kind, low, high=1e12):
 
 
 # ==================================================================================================
-# Nothing below is about the algorithm
+# Below: plumbing, not the algorithm
 # ==================================================================================================
 
 

@@ -23,14 +23,14 @@ action is than what π does on average. If A > 0, the action is made more likely
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
      R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
-  5. Reuse the rollout for several epochs, but keep π near π_old, the policy that played it. For
+  5. Reuse the rollout for several epochs, but keep π near π_old, which collected it. For
      each minibatch of shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl,
-     lower the learning rate and go to 6. Else standardise A over it, let ρ = π(a|s)/π_old(a|s), and
+     lower the rate for a while, go to 6. Else standardise A over it, let ρ = π(a|s)/π_old(a|s), and
      take an Adam step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
   6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
-All else is implementation detail, many described in [4]: observation normalisation and
+All else is implementation detail, much of it from [4]: observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
 the last layer of π, tanh squashing, and a KL limit that ends an update.
 
@@ -99,7 +99,7 @@ class Agent(nn.Module):
 
 
 def squash(actions, space):
-    """`make_envs` maps actions a (N, K) into bounds; log π is that of a, as tanh' cancels in ρ."""
+    """Maps actions a (N, K) into bounds. π is the density of a: the factor tanh' cancels in ρ."""
     return space.low + (space.high - space.low) * (np.tanh(actions) + 1) / 2
 
 
@@ -142,9 +142,9 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); observations to go on from; step, return, length
-    of each episode that ended. Environments do not reset themselves, so `next_obs` is always what
-    followed the action; only then are those that are done reset. `env_step`: steps taken before.
+    Returns transitions, float tensors (T, N, …); the next observations; step, return and length of
+    each episode that ended. Environments do not reset themselves, so `next_obs` is always what
+    followed the action; finished ones are reset afterwards. `env_step`: steps taken before.
     """
     steps, episodes = [], []
     for _ in range(args.rollout_steps):
@@ -168,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    So the targets of V, sums of later rewards, have a similar size in every task. F sums past ones:
-    its spread is similar, but it is known at once. `past_return` carries F to the next call: (N,).
+    So the targets of V, sums of later rewards, have a similar size in every task. F sums past
+    rewards: a similar spread, but known at once. `past_return` carries F to the next call: (N,).
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -209,7 +209,7 @@ def policy_loss(ratio, advantages, clip_eps):
     At π = π_old the gradient of mean(ρ·A) approximates ∇J (below) up to scale; elsewhere less well,
     as states and advantages are still those of π_old. So the clip takes a sample's gradient away
     once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
-    min selects the unclipped term, which leads back. Others may still push ρ on: hence max_kl.
+    min selects ρ·A, which leads back. Other samples may still push ρ further: hence max_kl.
 
     Here V, Q and A are the true values of π, not estimates; ∇ is the gradient in π's parameters; E
     averages over all that is not given: the first state s_0, actions, rewards r, next states s'. We
@@ -246,7 +246,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # The mean is (nearly) one more baseline, like V; the std sets the scale of the loss.
+            # The mean is a baseline (nearly: A is part of it); the std sets the scale of the loss.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -353,7 +353,7 @@ def number(kind, low, high=1e12):
 
 
 # ==================================================================================================
-# Nothing below is about the algorithm
+# Below: plumbing, not the algorithm
 # ==================================================================================================
 
 

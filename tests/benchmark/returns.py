@@ -39,8 +39,8 @@ DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"
 LONG, MORE_LONG = "100 episodes", "more seeds, 100 episodes"
 FRESH = {PPO: range(41, 51), A2C: range(41, 71), REINFORCE: range(41, 51)}  # used for no decision
 IDEAS = {
-    REINFORCE: "make an action more likely, in proportion to how much the return that followed it "
-               "exceeds a prediction, its baseline",
+    REINFORCE: "make an action more likely if the rewards after it exceed a prediction, the "
+               "baseline, and less likely if they fall short, in proportion",
     A2C: "the critic's prediction stands in for rewards that have not come yet, so that learning "
          "need not wait for the end of an episode; many environments at once",
     PPO: "A2C that takes several gradient steps on the same data, but keeps the policy close to "
