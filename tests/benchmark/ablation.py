@@ -9,9 +9,9 @@ FIGURES = ("ablation",)
 TASKS = {"HalfCheetah-v5": 300_000, "InvertedDoublePendulum-v5": 150_000, "Hopper-v5": 1_000_000}
 CHANGES = {  # its name: flags, or the patch of a variant
     "defaults": "",
-    "advantages anew in each epoch": "advantages-anew.patch",
+    "advantages recomputed in each epoch": "advantages-anew.patch",
     "no KL limit": "--max-kl 1e9",
-    "networks not slowed down": "networks-not-slowed-down.patch",
+    "learning rate not lowered": "networks-not-slowed-down.patch",
     "ratio not clipped": "--clip-eps 1e9",
     "neither KL limit nor clip": "--max-kl 1e9 --clip-eps 1e9",
     "advantages not standardised": "advantages-not-standardised.patch",
@@ -21,7 +21,7 @@ CHANGES = {  # its name: flags, or the patch of a variant
     "last layer not small": "last-layer-not-small.patch",
     "weights not orthogonal": "weights-not-orthogonal.patch",
     "σ learned": "noise-learned.patch",
-    "σ not annealed": "--last-std 0.6",
+    "σ constant": "--last-std 0.6",
     "actions clipped, no tanh": "no-tanh.patch",
     "time limits treated as deaths": "time-limits-as-deaths.patch",
     "value loss clipped, too": "value-loss-clipped.patch",
