@@ -93,7 +93,8 @@ def report(data, draw):
     for axis, name in zip(panels, BASELINES):
         sns.lineplot(common.in_bins(runs[runs["baseline"] == name], "train_return", "env_id"),
                      x="env_step", y="train_return", units="seed", estimator=None, ax=axis)
-        axis.set(ylim=(0, 1050), ylabel="return in training", title=f"--baseline {name}")
+        axis.set(ylim=(0, 1050), ylabel="mean return, last 100 episodes",
+                 title=f"--baseline {name}")
         common.steps_axis(axis)
     relative = noise / noise["none"]
     panels[3].bar(relative.index, relative)

@@ -66,7 +66,7 @@ def report(data, draw):
         if len(x):
             tables[name] = common.table(
                 ["task", "learner", "final return, each seed", "minutes, median",
-                 "minutes to the goal: its mean", "the mean of ours", "each seed of ours",
+                 "minutes to the goal: its mean", "our mean", "each seed of ours",
                  "ratio of the means"], rows(x))
             draw(picture(x, script), f"{name}_race")
     return tables

@@ -170,6 +170,7 @@ def panels(data):
         if env_id in PUBLISHED_V5:
             axis.axhline(PUBLISHED_V5[env_id][0], color="grey", linestyle=":", linewidth=1.5)
         common.steps_axis(axis)
-    grid.figure.suptitle(f"PPO, {data['seed'].nunique()} seeds and their mean (bold). Highest mean "
-                         "published for older versions: dashed, for -v5: dotted", y=1.02)
+    title = ("{} seeds, deterministic actions, and their mean (bold). "
+             "Published, mostly with sampled actions: older versions dashed, -v5 dotted")
+    grid.figure.suptitle(title.format(data["seed"].nunique()), y=1.02)
     return grid

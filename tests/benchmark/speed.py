@@ -115,5 +115,5 @@ def report(data, draw):
                           for part in ("environments", "actions", "updates"))
         rows.append([f"`{script}.py`", env_id, f"{x['ours'].median():,.0f}", *cells, parts])
     return {"ratios": common.table(
-        ["script", "task", "steps per second", f"times {PEER}'s", "the same, its sizes as ours",
-         "times stepping alone", "where our time goes"], rows)}
+        ["script", "task", "steps per second", f"ratio to {PEER}'s", "ratio, same sizes",
+         "ratio to stepping alone", "where our time goes"], rows)}
