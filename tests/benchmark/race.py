@@ -13,6 +13,7 @@ STEPS = 1_000_000
 TASKS = {PPO: ["HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"], A2C: ["LunarLander-v3"]}
 OURS = "ours"
 LEARNERS = OURS, "stable-baselines3, defaults", "stable-baselines3, its zoo's settings"
+STYLES = "-", "-", ":"  # in grey two of the colours are alike
 
 
 def jobs(quick):
@@ -124,14 +125,14 @@ def picture(data, script):
         for i, learner in enumerate(LEARNERS):
             runs = data[data["env_id"].eq(env_id) & data["part"].eq(learner)]
             mean = mean_course(runs).set_index("minutes")["return_mean"]
-            axis.plot(mean, color=f"C{i}", linewidth=2.2)
+            axis.plot(mean, STYLES[i], color=f"C{i}", linewidth=2.2)
             if learner != OURS:
                 axis.axhline(mean.iloc[-1], color=f"C{i}", linestyle="--", linewidth=1.2)
         axis.xaxis.set_major_formatter("{x:g}")
     sns.move_legend(grid, "upper center", bbox_to_anchor=(0.5, 0), ncols=3, title="",
                     frameon=False)
-    for line in grid.legend.get_lines():
-        line.set(alpha=1, linewidth=2.2)
+    for line, style in zip(grid.legend.get_lines(), STYLES):
+        line.set(alpha=1, linewidth=2.2, linestyle=style)
     if script == A2C:
         grid.set(ylim=(-600, 300), xlim=(0.08, None)).set_titles("{col_name} (cut at −600)")
     return grid
