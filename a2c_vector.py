@@ -8,7 +8,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes,
-seeds 1 to 10 reach returns of 209 to 267, on another processor 179 to 274; 200 counts as solved.
+seeds 1 to 10 reach mean returns of 209 to 267 (another CPU: 179 to 274); 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -16,7 +16,7 @@ episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
-action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
+action is than what π does on average. If A > 0, a is made more likely; if A < 0, less. Each update:
 
   1. Anneal linearly to 0: the learning rates and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
@@ -25,18 +25,18 @@ action is than what π does on average. If A > 0, the action is made more likely
      R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
-  6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
+  6. Update the running mean and standard deviation that normalise observations.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
 stands in for rewards still to come (bootstrapping). A3C's workers [1] update shared weights without
-waiting for each other; A2C makes one update when all have made T steps. Here it uses GAE [2].
+waiting for each other; A2C makes one update when all have made T steps. `compute_gae` is from [2].
 All else is implementation detail: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
 the last layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, so that π explores.
 
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     c entropy_coef. Shapes: T rollout_steps, N num_envs, D numbers in an observation.
-An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if time ran out,
+An episode is `terminated` if it ended for good (say, by a crash), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -133,7 +133,7 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); the next observations; step, return and length of
+    Returns transitions, float tensors (T, N, …); the obs to go on from; step, return and length of
     each episode that ended. Environments do not reset themselves, so `next_obs` is always what
     followed the action; finished ones are reset afterwards. `env_step`: steps taken before.
     """
@@ -169,8 +169,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    the values in between cancel, and A_t is the discounted sum of all rewards up to the end and of
-    V there, minus V(s_t): less bias, but the luck of all later steps (variance).
+    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t), n steps to
+    the end: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -200,7 +200,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
     """Step 5: one step of Adam. Returns its diagnostics."""
-    # The mean is a baseline (nearly: A is part of it); the std sets the scale of the loss.
+    # The mean is one more baseline (almost: it depends on a); the std fixes A's scale.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)
     loss_pi = policy_loss(policy.log_prob(batch.actions), A)
@@ -278,7 +278,7 @@ def parse_args(argv=None):
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="resume in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations (plus step 0)")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
@@ -324,7 +324,7 @@ def make_envs(env_id, count, autoreset_mode, vectorization="sync", randomize=Fal
 
 
 def make_seeds(seed, stream, count):
-    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
+    """Seeds for each stream: 0 PyTorch in new runs, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 

@@ -16,7 +16,7 @@ episode ends. The goal is a high expected return r_t + γ·r_{t+1} + γ²·r_{t+
 makes later rewards count less. A second network, the critic, learns the state value V(s), the
 expected return from s on; the action value Q(s,a) is the expected return if a is taken first and π
 followed afterwards. Their difference is the advantage A(s,a) = Q(s,a) − V(s): how much better the
-action is than what π does on average. If A > 0, the action is made more likely; if A < 0, less.
+action is than what π does on average. If A > 0, a is made more likely; if A < 0, less. Each update:
 
   1. Anneal linearly: the learning rate to 0; σ from 0.6 to 0.1, where π is Gaussian, N(μ(s), σ²).
   2. Collect a rollout: T steps in each of N environments.
@@ -27,7 +27,7 @@ action is than what π does on average. If A > 0, the action is made more likely
      each minibatch of shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl,
      lower the rate for a while, go to 6. Else standardise A over it, let ρ = π(a|s)/π_old(a|s), and
      take an Adam step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
-  6. Update the running mean and standard deviation that normalise observations. Repeat from 1.
+  6. Update the running mean and standard deviation that normalise observations.
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
 All else is implementation detail, much of it from [4]: observation normalisation and
@@ -37,7 +37,7 @@ the last layer of π, tanh squashing, and a KL limit that ends an update.
 Symbols: s obs, a actions, r rewards, V values, A advantages, R targets, γ gamma, λ gae_lambda,
     ρ ratio, ε clip_eps, μ mean (the actor's output) and σ standard deviation of π.
 Shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation, K in an action.
-An episode is `terminated` if it ended for good (a fall, a crash), `truncated` if time ran out,
+An episode is `terminated` if it ended for good (say, by a crash), `truncated` if time ran out,
 `done` if either. A `return` in tables and figures is the plain, undiscounted sum of raw rewards.
 [1] Schulman et al. 2017, Proximal Policy Optimization Algorithms.
 [2] Schulman et al. 2016, arXiv 1506.02438: generalized advantage estimation.
@@ -142,7 +142,7 @@ def mlp(inputs, hidden, outputs, output_gain):
 def rollout(envs, agent, obs, args, env_step):
     """Step 2: T steps in each environment, starting from observations `obs` (N, D).
 
-    Returns transitions, float tensors (T, N, …); the next observations; step, return and length of
+    Returns transitions, float tensors (T, N, …); the obs to go on from; step, return and length of
     each episode that ended. Environments do not reset themselves, so `next_obs` is always what
     followed the action; finished ones are reset afterwards. `env_step`: steps taken before.
     """
@@ -194,8 +194,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    the values in between cancel, and A_t is the discounted sum of all rewards up to the end and of
-    V there, minus V(s_t): less bias, but the luck of all later steps (variance).
+    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t), n steps to
+    the end: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -246,7 +246,7 @@ def optimise(agent, optimizer, batch, args):
             if approximate_kl(log_ratio) > args.max_kl:
                 return False  # stop here; the steps so far stay
             A = batch.advantages[rows]
-            # The mean is a baseline (nearly: A is part of it); the std sets the scale of the loss.
+            # The mean is one more baseline (almost: it depends on a); the std fixes A's scale.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             loss_pi = policy_loss(log_ratio.exp(), A, args.clip_eps)
             loss_v = ((agent.value(batch.obs[rows]) - batch.targets[rows]) ** 2).mean() / 2
@@ -322,7 +322,7 @@ def parse_args(argv=None):
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--resume", type=os.path.abspath, metavar="CHECKPOINT", help="resume in a new folder")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations (plus step 0)")
     add("--eval-episodes", type=number(int, 1), default=10, help="episodes per evaluation")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
@@ -369,7 +369,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
+    """Seeds for each stream: 0 PyTorch in new runs, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 

@@ -3,7 +3,7 @@
 # dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
 #     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
 # ///
-"""REINFORCE: the policy gradient with the returns of whole episodes, in one file.
+"""REINFORCE: policy gradients from the returns of whole episodes, in one file.
 
     python reinforce_mujoco.py --seed 1 2 3
 
@@ -14,7 +14,7 @@ the last evaluation, where they take the mean of π, not a random action; so do 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
 answers with a reward r and the next state, until the episode ends. The goal is a high sum of
-rewards. So the higher the return G that followed an action, the more likely the action is made:
+rewards. So an action is made more likely, the higher the return G that followed it:
 
   1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
@@ -114,7 +114,7 @@ def rollout(envs, agent, args, env_step):
     """Steps 2 and 3: whole episodes, one after the other.
 
     `envs` is a vector of one environment that does not reset itself, so `obs` ends at s_T. Returns
-    the batch, with the tensors obs (B, D), actions (B, K) and returns (B,); and step, return and
+    the batch: tensors obs (B, D), actions (B, K), returns (B,); and the last step, plain return and
     length of each episode. `env_step`: steps taken before.
     """
     steps, returns, episodes = [], [], []
@@ -169,7 +169,7 @@ def policy_loss(log_probs, advantages):
            = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
 
     As usual, γ^t is left out, so that late steps count as much as early ones; strictly, what
-    remains is not ∇J. A mean over steps, instead of a sum, makes the scale of the loss independent
+    remains is not ∇J. We estimate it by a mean over steps, not a sum, so its scale is independent
     of their number.
 
     A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
@@ -177,9 +177,9 @@ def policy_loss(log_probs, advantages):
     returns are positive, then without a baseline every action that was tried is pushed up, bad ones
     just by less. With b ≈ V, those that turned out worse than expected are pushed down.
 
-    Small biases remain. The baseline `mean`, which includes G_t, and the number of steps that the
-    loss is averaged over both depend on the actions; larger batches reduce these biases. At a time
-    limit, G_T is only the critic's estimate.
+    Small biases remain. Both the baseline `mean`, which includes G_t, and the number of steps B
+    depend on the actions; larger batches reduce these biases. At a time limit, G_T is only the
+    critic's estimate.
     """
     return -(advantages * log_probs).mean()
 
@@ -227,7 +227,7 @@ def parse_args(argv=None):
     add("--out-dir", default="runs", help="where the run's folder is created")
     add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
     add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations, after step 0")
+    add("--num-evals", type=number(int, 1), default=20, help="evaluations (plus step 0)")
     add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--batch-episodes", type=number(int, 1), default=4, help="episodes per batch")
@@ -266,7 +266,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
 
 
 def make_seeds(seed, stream, count):
-    """Independent seeds for each stream: 0 PyTorch, 1 evaluation, 2 + k training from step k."""
+    """Seeds for each stream: 0 PyTorch in new runs, 1 evaluation, 2 + k training from step k."""
     return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
 
 
