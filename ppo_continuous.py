@@ -169,7 +169,7 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
     So the targets of V, sums of later rewards, have a similar size in every task. F sums past
-    rewards: a similar spread, but known at once. `past_return` carries F to the next call: (N,).
+    rewards: a similar spread, but known at once. `past_return` carries F on: (N,), or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
