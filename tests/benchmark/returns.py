@@ -37,6 +37,8 @@ PUBLISHED_V5 = {  # on -v5 itself, deterministic; [7]: XuanCe, [8]: a validation
 # The parts of this study; the last two look for rare falls of the double pendulum.
 DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"
 LONG, MORE_LONG = "100 episodes", "more seeds, 100 episodes"
+FRESH_MILLION = "a million steps, fresh seeds"
+A_MILLION = MILLION, FRESH_MILLION
 FRESH = {PPO: range(41, 51), A2C: range(41, 71), REINFORCE: range(41, 51)}  # used for no decision
 IDEAS = {
     REINFORCE: "make an action more likely if the rewards after it exceed a prediction, the "
@@ -57,6 +59,9 @@ def jobs(quick):
         found += common.training_jobs(PPO, quick, flags, part=MILLION)
     for script, seeds in FRESH.items():
         found += common.training_jobs(script, quick, seeds=seeds, part=MORE)
+    for env_id in tasks:
+        flags = f"--env-id {env_id}{'' if quick else ' --total-steps 1000000 --num-evals 1'}"
+        found += common.training_jobs(PPO, quick, flags, seeds=FRESH[PPO][:5], part=FRESH_MILLION)
     flags = "" if quick else "--num-evals 1 --eval-episodes 100"
     found += common.training_jobs(PPO, quick, flags, part=LONG)
     return found + common.training_jobs(PPO, quick, flags, seeds=FRESH[PPO], part=MORE_LONG)
@@ -94,24 +99,37 @@ def report(data, draw):
         usual.append([f"`{script}.py`", idea, x["env_id"].iloc[0], mean, every,
                       f"{common.defaults(script)['total_steps']:,}",
                       number(x["seconds"].mean() / 60)])
-    suite = last[last["part"] == MILLION]
-    seeds = suite.groupby("env_id")["seed"].nunique()
-    suite = suite[suite["env_id"].isin(seeds[seeds == seeds.max()].index)]  # the rest is on its way
-    rows = [task_row(env_id, x) for env_id, x in suite.groupby("env_id")]
+    suite, fresh = suite_of(last, MILLION), suite_of(last, FRESH_MILLION)
     shown = data["part"].eq(MILLION) & data["env_id"].isin(suite["env_id"])
     if shown.any():
         draw(panels(data[shown]), "ppo_returns")
-    header = ["task", "mean ± std", "seeds 1 to 5", "sampled actions", "published",
-              "published on -v5"]
     return {
-        "ppo": common.table(header, rows) if rows else "Not measured yet with the current files.",
+        "ppo": suite_table(suite),
         "score": score(suite),
+        "fresh": suite_table(fresh),
+        "fresh_score": score(fresh),
         "reinforce": successes(last[last["script"] == REINFORCE]),
         "a2c": successes(last[last["script"] == A2C]),
-        "pendulum": successes(last[last["script"].eq(PPO) & last["part"].ne(MILLION)]),
+        "pendulum": successes(last[last["script"].eq(PPO) & ~last["part"].isin(A_MILLION)]),
         "usual": common.table(["file", "its idea", "task", "final return, mean ± std", "every seed",
                                 "steps", "minutes, two runs at a time"], usual),
     }
+
+
+def suite_of(last, part):
+    """The tasks of which all seeds are there; the rest is on its way."""
+    runs = last[last["part"] == part]
+    seeds = runs.groupby("env_id")["seed"].nunique()
+    return runs[runs["env_id"].isin(seeds[seeds == seeds.max()].index)]
+
+
+def suite_table(runs):
+    if runs.empty:
+        return "Not measured yet with the current files."
+    seeds = f"seeds {runs['seed'].min()} to {runs['seed'].max()}"
+    rows = [task_row(env_id, x) for env_id, x in runs.groupby("env_id")]
+    return common.table(["task", "mean ± std", seeds, "sampled actions", "published",
+                         "published on -v5"], rows)
 
 
 def task_row(env_id, runs):
