@@ -60,7 +60,8 @@ def jobs(quick):
     for script, seeds in FRESH.items():
         found += common.training_jobs(script, quick, seeds=seeds, part=MORE)
     for env_id in tasks:
-        flags = f"--env-id {env_id}{'' if quick else ' --total-steps 1000000 --num-evals 1'}"
+        size = "" if quick else " --total-steps 1000000"
+        flags = f"--env-id {env_id}{size} --num-evals 1"
         found += common.training_jobs(PPO, quick, flags, seeds=FRESH[PPO][:5], part=FRESH_MILLION)
     flags = "" if quick else "--num-evals 1 --eval-episodes 100"
     found += common.training_jobs(PPO, quick, flags, part=LONG)
