@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from benchmark import ablation, common, exercises, merge, race, reports, trials
+from benchmark import ablation, common, exercises, merge, race, reports, returns, trials
 from benchmark.__main__ import SHOWN, STUDIES, main
 from benchmark.common import A2C, PPO, Job
 
@@ -245,6 +245,13 @@ def test_the_race_says_when_ours_has_what_the_peer_has_in_the_end():
     assert ours[2:] == ["100, 50", "10.0", "", "", "", ""]
     data.loc[data["part"] == race.OURS, "return_mean"] -= 100
     assert race.rows(data)[1][4:] == ["8.00", "never", "never, never", "–"]
+
+
+def test_a_task_of_which_seeds_are_missing_is_left_out_of_the_table():
+    data = pd.DataFrame({"part": returns.FRESH_MILLION, "seed": [41, 42, 41],
+                         "env_id": ["Ant-v5", "Ant-v5", "Hopper-v5"]})
+    assert returns.suite_of(data, returns.FRESH_MILLION)["env_id"].tolist() == ["Ant-v5"] * 2
+    assert returns.suite_of(data, returns.MILLION).empty
 
 
 def test_trials_show_every_seed_of_a_change_also_those_cut_off():

@@ -35,10 +35,9 @@ PUBLISHED_V5 = {  # on -v5 itself, deterministic; [7]: XuanCe, [8]: a validation
     "InvertedDoublePendulum-v5": (3355, "[7]"),
 }
 # The parts of this study; the last two look for rare falls of the double pendulum.
-DEFAULT, MILLION, MORE = "default", "a million steps", "more seeds"
+DEFAULT, MORE = "default", "more seeds"
+A_MILLION = MILLION, FRESH_MILLION = "a million steps", "a million steps, fresh seeds"
 LONG, MORE_LONG = "100 episodes", "more seeds, 100 episodes"
-FRESH_MILLION = "a million steps, fresh seeds"
-A_MILLION = MILLION, FRESH_MILLION
 FRESH = {PPO: range(41, 51), A2C: range(41, 71), REINFORCE: range(41, 51)}  # used for no decision
 IDEAS = {
     REINFORCE: "make an action more likely if the rewards after it exceed a prediction, the "
@@ -189,7 +188,7 @@ def panels(data):
         if env_id in PUBLISHED_V5:
             axis.axhline(PUBLISHED_V5[env_id][0], color="grey", linestyle=":", linewidth=1.5)
         common.steps_axis(axis)
-    title = ("{} seeds, deterministic actions, and their mean (bold). "
+    title = ("Seeds {} to {}, deterministic actions, and their mean (bold). "
              "Published, mostly with sampled actions: older versions dashed, -v5 dotted")
-    grid.figure.suptitle(title.format(data["seed"].nunique()), y=1.02)
+    grid.figure.suptitle(title.format(data["seed"].min(), data["seed"].max()), y=1.02)
     return grid
