@@ -8,7 +8,7 @@
     python a2c_vector.py --seed 1 2 3
 
 trains three agents in parallel to land on the moon. After 1,000,000 steps, about three minutes,
-seeds 1 to 10 reach mean returns of 209 to 267 (another CPU: 179 to 274); 200 counts as solved.
+seeds 1 to 10 average 209 to 267 in evaluation (another CPU: 179 to 274); 200 counts as solved.
 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), computed by
 a neural network, the actor. The environment answers with a reward r and the next state, until the
@@ -22,14 +22,14 @@ action is than what π does on average. If A > 0, a is made more likely; if A < 
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
-     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
+     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over a, the true V(s).
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
-stands in for rewards still to come (bootstrapping). A3C's workers [1] update shared weights without
-waiting for each other; A2C makes one update when all have made T steps. `compute_gae` is from [2].
+stands in for rewards still to come (bootstrapping). In A3C [1] each environment updates shared
+weights on its own; A2C makes one update when all have made T steps. `compute_gae` is from [2].
 All else is implementation detail: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
 the last layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, so that π explores.
@@ -161,7 +161,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends with the last δ_t of an episode or of the rollout. In this δ_t:
+    The sum ends with the last δ of an episode or of the rollout. In this last δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
@@ -169,8 +169,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t), n steps to
-    the end: less bias, but the luck of all later steps (variance).
+    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t) with n
+    steps left: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -179,11 +179,11 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (T·N,). Its gradient approximates −∇J, up to scale.
+    """−mean(A·log π); log π and A are (T·N,). Its gradient approximates −∇J (below), up to scale.
 
     The actions must be drawn from the current π, so a rollout is used only once.
 
-    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient in π's parameters; E
+    Below, V, Q and A are those of π itself, not estimates; ∇ is the gradient in π's parameters; E
     averages over all that is not given: the first state s_0, actions, rewards r, next states s'. We
     maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on π, so ∇Q = E[γ·∇V(s')].
 
@@ -199,7 +199,7 @@ def policy_loss(log_probs, advantages):
 
 
 def optimise(agent, optimizer, batch, args, entropy_coef):
-    """Step 5: one step of Adam. Returns its diagnostics."""
+    """Step 5: one step of Adam. Returns its metrics."""
     # The mean is one more baseline (almost: it depends on a); the std fixes A's scale.
     A = (batch.advantages - batch.advantages.mean()) / (batch.advantages.std(correction=0) + 1e-8)
     policy = agent.policy(batch.obs)

@@ -22,11 +22,11 @@ action is than what π does on average. If A > 0, a is made more likely; if A < 
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
-     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over the actions of π.
+     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over a, the true V(s).
   5. Reuse the rollout for several epochs, but keep π near π_old, which collected it. For
      each minibatch of shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl,
-     lower the rate for a while, go to 6. Else standardise A over it, let ρ = π(a|s)/π_old(a|s), and
-     take an Adam step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²)
+     lower the learning rate for a while, go to 6. Else standardise A over the minibatch and take an
+     Adam step on  −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − R)²), ρ = π(a|s)/π_old(a|s)
   6. Update the running mean and standard deviation that normalise observations.
 
 From PPO [1]: rollouts, GAE [2], epochs, the loss, annealing, a learning rate that adapts to KL.
@@ -168,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    So the targets of V, sums of later rewards, have a similar size in every task. F sums past
-    rewards: a similar spread, but known at once. `past_return` carries F on: (N,), or 0.
+    So the targets of V, sums of later rewards, have a similar spread in every task. F, of past
+    rewards, spreads alike, but is known at once. `past_return` carries F on: (N,), or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -186,7 +186,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
             = δ_t + γλ·A_{t+1}                          so one pass backwards computes them all
 
-    The sum ends with the last δ_t of an episode or of the rollout. In this δ_t:
+    The sum ends with the last δ of an episode or of the rollout. In this last δ_t:
         terminated      no reward can follow, so V(s_{t+1}) counts as 0
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
@@ -194,8 +194,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V is the true value of π, δ_t has mean A(s_t,a_t) and every later δ mean 0, so A_t is right
     on average for every λ. As V is an estimate, λ balances bias against variance. With λ = 0,
     A_t = δ_t relies on one reward and on V: little noise, but all of V's error (bias). With λ = 1,
-    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t), n steps to
-    the end: less bias, but the luck of all later steps (variance).
+    the values in between cancel, so A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t) with n
+    steps left: less bias, but the luck of all later steps (variance).
     """
     advantages = rewards + gamma * (1 - terminated) * next_values - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -211,7 +211,7 @@ def policy_loss(ratio, advantages, clip_eps):
     once ρ has moved by more than ε in the direction that A asks for. If ρ has moved the other way,
     min selects ρ·A, which leads back. Other samples may still push ρ further: hence max_kl.
 
-    Here V, Q and A are the true values of π, not estimates; ∇ is the gradient in π's parameters; E
+    Below, V, Q and A are those of π itself, not estimates; ∇ is the gradient in π's parameters; E
     averages over all that is not given: the first state s_0, actions, rewards r, next states s'. We
     maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on π, so ∇Q = E[γ·∇V(s')].
 

@@ -14,14 +14,14 @@ the last evaluation, where they take the mean of π, not a random action; so do 
 At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
 whose mean and standard deviation are computed by a neural network, the actor. The environment
 answers with a reward r and the next state, until the episode ends. The goal is a high sum of
-rewards. So an action is made more likely, the higher the return G that followed it:
+rewards. So the higher the return G after an action, the more likely the action is made:
 
   1. Anneal the learning rate: it falls linearly to 0 over the run.
   2. Play a batch of a few whole episodes with π.
   3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
-     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy, but more short-sighted. After
-     the last step, G_T = 0 if the episode ended for good. If a time limit cut it off, rewards were
-     still to come, and G_T = V(s_T), as predicted by a second network, the critic [3].
+     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy than a plain sum, but
+     short-sighted. After the last step, G_T = 0 if the episode ended for good. If a time limit cut
+     it off, G_T = V(s_T), the rewards still to come, predicted by a second network, the critic [3].
   4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
          --baseline none    b_t = 0
          --baseline mean    b_t = mean of G over the batch
@@ -153,7 +153,7 @@ def compute_advantages(returns, values, baseline):
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J, up to scale.
+    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J (below), up to scale.
 
     Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
     same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
@@ -177,15 +177,15 @@ def policy_loss(log_probs, advantages):
     returns are positive, then without a baseline every action that was tried is pushed up, bad ones
     just by less. With b ≈ V, those that turned out worse than expected are pushed down.
 
-    Small biases remain. Both the baseline `mean`, which includes G_t, and the number of steps B
-    depend on the actions; larger batches reduce these biases. At a time limit, G_T is only the
-    critic's estimate.
+    Small biases remain. The baseline `mean`, which includes G_t, and the divisor B both depend on
+    the actions; larger batches reduce these biases. At a time limit, G_T is only the critic's
+    estimate.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, batch, args):
-    """Steps 4 and 5: one step of Adam. Returns its diagnostics."""
+    """Steps 4 and 5: one step of Adam. Returns its metrics."""
     values = agent.value(batch.obs)
     advantages = compute_advantages(batch.returns, values, args.baseline)
     policy = agent.policy(batch.obs)

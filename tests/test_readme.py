@@ -101,6 +101,18 @@ def test_a_wrapper_of_your_own_makes_a_flat_box_and_can_be_drawn():
     assert len(envs.render()[0]) == 1
 
 
+def test_an_existing_task_can_be_wrapped_and_drawn():
+    (entry_point,) = re.findall(r"`gym\.spec\((\S+)\)\.entry_point`", TEXT)
+    entry_point = gym.spec(entry_point.strip('"')).entry_point
+    exec(snippet("FlattenObservation").replace("My-v0", "Lake-v0"),
+         {"gym": gym, "MyEnv": entry_point})
+    make_envs = importlib.import_module("a2c_vector").make_envs
+    envs = make_envs("Lake-v0", 1, "NextStep", render_mode="rgb_array_list")
+    envs.reset(seed=1)
+    assert envs.single_observation_space.shape == (16,)
+    assert len(envs.render()[0]) == 1
+
+
 def test_the_loop_of_your_own_runs(here, capsys):
     exec(snippet("for env_step, episodes").replace("30000", "3000"), {})
     assert re.search(r"\d+ steps, return \d+, KL 0\.\d+", capsys.readouterr().out)
@@ -142,7 +154,7 @@ def test_every_flag_in_the_text_exists():
     for script in SCRIPTS.values():
         known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
     known |= {"--help", "--suppress-common-lines"}
-    known |= {"--standalone", "--nproc-per-node", "--nnodes", "--rdzv-endpoint"}  # of torchrun
+    known |= {"--standalone", "--nproc-per-node"}  # of torchrun
     known |= {"--array", "--cpus-per-task", "--time"}  # of SLURM
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known
 

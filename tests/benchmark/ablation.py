@@ -7,6 +7,7 @@ from benchmark.common import PPO, number, spread
 
 FIGURES = ("ablation",)
 TASKS = {"HalfCheetah-v5": 300_000, "InvertedDoublePendulum-v5": 150_000, "Hopper-v5": 1_000_000}
+SEEDS = list(range(1, 9))
 CHANGES = {  # its name: flags, or the patch of a variant
     "defaults": "",
     "advantages recomputed in each epoch": "advantages-anew.patch",
@@ -42,7 +43,7 @@ def jobs(quick):
             flags, variant = changed(CHANGES[name])
             size = "" if quick else f" --total-steps {steps} --num-evals 4 --eval-episodes 20"
             found += common.training_jobs(PPO, quick, f"--env-id {env_id}{size} {flags}",
-                                          variant=variant, part=f"{env_id}: {name}")
+                                          SEEDS, variant=variant, part=f"{env_id}: {name}")
     return found
 
 
