@@ -112,7 +112,7 @@ def report(data, draw):
         "a2c": successes(last[last["script"] == A2C]),
         "pendulum": successes(last[last["script"].eq(PPO) & ~last["part"].isin(A_MILLION)]),
         "usual": common.table(["file", "its idea", "task", "final return, mean ± std", "every seed",
-                                "steps", "minutes, two runs at a time"], usual),
+                                "steps", "minutes of training, two at a time"], usual),
     }
 
 
