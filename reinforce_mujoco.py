@@ -198,10 +198,9 @@ def optimise(agent, optimizer, batch, args):
     return {name: x.item() for name, x in metrics.items()}
 
 
-def train(args, seed, envs, agent, optimizer):
+def train(args, seed, envs, agent, optimizer, env_step=0):
     """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
     envs.reset(seed=make_seeds(seed, stream=2, count=1))  # only seeds; `rollout` resets again
-    env_step = 0
     yield env_step, [], []
     while env_step < args.total_steps:
         # Step 1: anneal the learning rate.
@@ -349,7 +348,9 @@ def report(folder, env_id):
     print(folder, results.round(1), sep="\n")
     # In bins, so that each point of the figure is a mean over a fiftieth of the run:
     data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
-    data = data.groupby(["seed", "env_step"], as_index=False).mean()
+    data = data.groupby(["env_step", "seed"]).mean().unstack()
+    # As seeds end batches at different steps, interpolate, so that each point has all seeds.
+    data = data.interpolate("index", limit_area="inside").stack(future_stack=True)
     figure = Figure(figsize=(12, 9), layout="constrained")
     panels = figure.subplot_mosaic([
         ["return"] * 3, ["policy_loss", "value_loss", "policy_std"]], height_ratios=(3, 1))

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import SCRIPTS
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -88,6 +89,18 @@ def test_a_seed_with_many_short_episodes_counts_as_much_as_one_with_few_long_one
     for panel in panels.values():
         for _, y in curves(panel).values():
             np.testing.assert_allclose(y[1:-1], 510)
+
+
+def test_seeds_whose_rows_are_at_different_steps_all_count_at_each_point(draw, tmp_path):
+    script = SCRIPTS["reinforce_mujoco"]  # the others' seeds make their updates at the same steps
+    for seed, at, value in (1, [0, 100, 400, 700, 1000], 1.0), (2, [0, 200, 500, 800, 1000], 3.0):
+        values = np.full(len(at), value)
+        write_tables(tmp_path / f"seed-{seed}", ["policy_loss"], at, values)
+    panels = draw(script, tmp_path, script.world("ThreeSteps"))
+    assert len(curves(panels["return"])) == 2
+    for panel in panels["return"], panels["policy_loss"]:
+        for _, y in curves(panel).values():
+            np.testing.assert_allclose(y, 2)
 
 
 def test_a_run_without_a_finished_episode_is_drawn_as_far_as_it_went(script, draw, tmp_path):
