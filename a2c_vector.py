@@ -22,14 +22,14 @@ action is than what π does on average. If A > 0, a is made more likely; if A < 
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that the critic's targets are neither tiny nor huge.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
-     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over a, the true V(s).
+     R is a noisy estimate of Q(s,a); least squares fits V(s) to Q's mean over a, the true V(s).
   5. Standardise A over the rollout, and take an Adam step on
          −mean(A·log π(a|s)) + ½·mean((V(s) − R)²) − c·entropy(π)
   6. Update the running mean and standard deviation that normalise observations.
 
 REINFORCE, the plainest policy gradient, needs whole episodes. A2C learns before an episode ends: V
-stands in for rewards still to come (bootstrapping). In A3C [1] each environment updates shared
-weights on its own; A2C makes one update when all have made T steps. `compute_gae` is from [2].
+stands in for rewards still to come (bootstrapping). In A3C [1] each worker updates shared weights
+on its own; A2C makes one update when all environments have made T steps. `compute_gae` is from [2].
 All else is implementation detail: learning-rate annealing, observation normalisation and
 clipping, reward scaling, standardised advantages, orthogonal initialisation with small weights in
 the last layer of π, gradient clipping, Adam's eps, and A3C's entropy bonus, so that π explores.

@@ -22,7 +22,7 @@ action is than what π does on average. If A > 0, a is made more likely; if A < 
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards: divide them by a running standard deviation of their discounted sums.
   4. Estimate advantages A (GAE) and the critic's targets R = A + V(s), both held fixed in step 5.
-     R is a noisy estimate of Q(s,a); by least squares V(s) learns Q's mean over a, the true V(s).
+     R is a noisy estimate of Q(s,a); least squares fits V(s) to Q's mean over a, the true V(s).
   5. Reuse the rollout for several epochs, but keep π near π_old, which collected it. For
      each minibatch of shuffled transitions: if KL(π_old ‖ π), how far π has moved, exceeds max_kl,
      lower the learning rate for a while, go to 6. Else standardise A over the minibatch and take an
@@ -168,8 +168,8 @@ def scale_rewards(rewards, done, past_return, return_stats, gamma):
 
         F_t = r_t + γ·F_{t−1},   F_{t−1} = 0 at the start of an episode
 
-    So the targets of V, sums of later rewards, have a similar spread in every task. F, of past
-    rewards, spreads alike, but is known at once. `past_return` carries F on: (N,), or 0.
+    So the targets of V, sums of later rewards, have a similar spread in every task. F, a sum of
+    past rewards, spreads much like them and is known at once. `past_return`: F so far, (N,) or 0.
     """
     past_returns = torch.empty_like(rewards)
     for t in range(len(rewards)):

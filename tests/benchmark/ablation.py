@@ -7,7 +7,7 @@ from benchmark.common import PPO, number, spread
 
 FIGURES = ("ablation",)
 TASKS = {"HalfCheetah-v5": 300_000, "InvertedDoublePendulum-v5": 150_000, "Hopper-v5": 1_000_000}
-SEEDS = list(range(1, 9))
+SEEDS = range(1, 9)
 CHANGES = {  # its name: flags, or the patch of a variant
     "defaults": "",
     "advantages recomputed in each epoch": "advantages-anew.patch",
