@@ -3,56 +3,53 @@
 # dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
 #     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
 # ///
-"""REINFORCE: policy gradients from the returns of whole episodes, in one file.
+"""REINFORCE: policy gradients from whole episodes, in one file.
 
     python reinforce_mujoco.py --seed 1 2 3
 
-trains three agents in parallel to balance a pole on a cart. Each step with the pole upright earns
-1, for at most 1000 steps. After 100,000 steps, within a minute, they all earn 1000 in
-the last evaluation, where they take the mean of π, not a random action; so do seeds 4 and 5.
+trains three agents side by side to balance a pole on a cart. In a good run the return climbs within
+a minute from 6, which random actions earn, to 1000, the most that an episode can earn.
 
-At every step the agent observes a state s and draws an action a from its policy π(a|s), a Gaussian
-whose mean and standard deviation are computed by a neural network, the actor. The environment
-answers with a reward r and the next state, until the episode ends. The goal is a high sum of
-rewards. So the higher the return G after an action, the more likely the action is made:
+At every step the agent observes a state s (here four numbers: where the cart is, how the pole
+leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
+environment answers with a reward r (1 while the pole is up) and the next state, until the episode
+ends. We want a high *return*, the sum of all rewards of an episode.
 
-  1. Anneal the learning rate: it falls linearly to 0 over the run.
-  2. Play a batch of a few whole episodes with π.
-  3. Compute the discounted return from each step t on:  G_t = r_t + γ·G_{t+1}. With γ = 0.98 a
-     reward 50 steps later counts only γ^50 ≈ 0.36: G is less noisy than a plain sum, but
-     short-sighted. After the last step, G_T = 0 if the episode ended for good. If a time limit cut
-     it off, G_T = V(s_T), the rewards still to come, predicted by a second network, the critic [3].
-  4. Compute the advantage  A_t = G_t − b_t,  how much better the return was than a baseline b:
+The policy is a neural network, the actor, which outputs the mean and the standard deviation of a
+Gaussian. It learns by trial and error: actions that high rewards followed become more likely.
+
+  1. Play a batch of episodes with π.
+  2. For each step t, compute the *reward to go*: the rewards from t on, later ones counting less,
+         G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
+     With γ = 0.98 a reward 50 steps later counts only γ^50 ≈ 0.36. An action has little to do with
+     what happens long after it, so counting that in full would mostly add noise.
+  3. Subtract a baseline b_t:  A_t = G_t − b_t.  With a good b, A_t > 0 means better than expected.
          --baseline none    b_t = 0
-         --baseline mean    b_t = mean of G over the batch
-         --baseline value   b_t = V(s_t), the critic's prediction of G_t
-  5. Take an Adam step, with A and G held fixed, on  −mean(A·log π(a|s)) + ½·mean((V(s) − G)²).
-     Discard the batch: the next update needs actions of the new π. Repeat from 1.
+         --baseline mean    b_t = the mean of G over the batch
+         --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
+  4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
+     those with A < 0 less likely (`policy_loss` says why). The critic takes one on
+     ½·mean((V(s) − G)²).
+  5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
-This is REINFORCE [1] with a baseline; an action is credited only with what followed it [2]. All
-else is implementation detail: V(s_T) at a time limit, annealing, Adam, a mean over the steps of a
-batch, a lower bound on σ, orthogonal initial weights, small in the last layer of π, a factor γ^t
-left out (`policy_loss`). The environment clips actions; log π is that of the unclipped action.
-The critic is trained with every baseline, as step 3 needs it.
+That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
+orthogonal initial weights, a standard deviation of at least 0.1, and a critic for time limits: when
+an episode was cut off there, V stands for the rewards that would have followed [3].
 
-Symbols: s obs, a actions, r rewards, G returns, V values, A advantages, γ gamma, μ and σ mean and
-    standard deviation of π.
-Shapes: T steps of an episode, B steps of a batch, D numbers in an observation, K in an action.
-An episode is `terminated` if it ended for good (the pole fell), `truncated` if only time ran out. A
-`return` in tables and figures is the plain, undiscounted sum of rewards.
-[1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist Reinforcement
-Learning. [2] Sutton and Barto 2018, Reinforcement Learning: An Introduction, chapter 13. [3] Pardo
-et al. 2018, Time Limits in Reinforcement Learning.
+In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
+In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
+[1] Williams 1992, Simple Statistical Gradient-Following Algorithms for Connectionist RL.
+[2] Sutton and Barto 2018, Reinforcement Learning: An Introduction, chapter 13.
+[3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
 """
 
 import argparse
-import json
 import os
+import random
 import sys
 import time
-from importlib.metadata import version
 from pathlib import Path
-from types import SimpleNamespace
+from typing import NamedTuple
 
 import gymnasium as gym
 import imageio.v3 as imageio
@@ -61,30 +58,26 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from torch import nn
+from torch import Tensor, nn
 from tqdm import tqdm
 
 # --- Agent ----------------------------------------------------------------------------------------
 
 
 class Agent(nn.Module):
-    """The actor π(a|s) = Normal(μ(s), σ(s)) and the critic V(s)."""
+    """The actor π(a|s) and the critic V(s)."""
 
-    def __init__(self, observation_space, action_space, args):
+    def __init__(self, envs, hidden_size):
         super().__init__()
-        inputs, outputs = observation_space.shape[0], action_space.shape[0]
-        # The small output gain makes π nearly the same in every state at first.
-        self.actor = mlp(inputs, args.hidden_size, 2 * outputs, output_gain=0.01)
-        self.critic = mlp(inputs, args.hidden_size, 1, output_gain=1.0)
+        inputs, outputs = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+        self.actor = mlp(inputs, hidden_size, 2 * outputs, last_gain=0.01)
+        self.critic = mlp(inputs, hidden_size, 1, last_gain=1.0)
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), a distribution over actions."""
+        """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
         mean, raw_std = self.actor(obs).chunk(2, dim=-1)
-        # The lower bound on σ keeps π exploring and gradients moderate: ∂log π/∂μ = (a − μ)/σ² has
-        # standard deviation 1/σ ≤ 10.
-        std = nn.functional.softplus(raw_std) + 0.1
-        gaussians = torch.distributions.Normal(mean, std, validate_args=False)
-        return torch.distributions.Independent(gaussians, 1)  # log π sums over K dimensions
+        std = nn.functional.softplus(raw_std) + 0.1  # at least 0.1, so that it keeps exploring
+        return torch.distributions.Independent(torch.distributions.Normal(mean, std), 1)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,)."""
@@ -92,161 +85,189 @@ class Agent(nn.Module):
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
-        """NumPy observations (N, D) -> N actions, a NumPy array: drawn from π, or its mode."""
-        policy = self.policy(torch.as_tensor(obs).to(next(self.parameters())))  # dtype and device
-        actions = policy.mode if deterministic else policy.sample()
-        return actions.cpu().numpy()
+        """NumPy observations (…, D) -> NumPy actions (…, K): drawn from π, or its mean."""
+        policy = self.policy(torch.tensor(obs, dtype=torch.float32))
+        return (policy.mean if deterministic else policy.sample()).numpy()
 
 
-def mlp(inputs, hidden, outputs, output_gain):
-    """Two hidden layers, a linear output layer; orthogonal weights, zero biases."""
+def mlp(inputs, hidden, outputs, last_gain):
+    """Two hidden layers and a linear output layer, with orthogonal weights and zero biases.
+
+    The gain √2 is usual; a small one in the actor's last layer makes π start alike in every state.
+    """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, output_gain)):
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
 
 
-# --- The steps ------------------------------------------------------------------------------------
+# --- An update, line by line ----------------------------------------------------------------------
 
 
-def rollout(envs, agent, args, env_step):
-    """Steps 2 and 3: whole episodes, one after the other.
+class Episode(NamedTuple):
+    """What happened in T steps, up to the end of an episode."""
 
-    `envs` is a vector of one environment that does not reset itself, so `obs` ends at s_T. Returns
-    the batch: tensors obs (B, D), actions (B, K), returns (B,); and the last step, plain return and
-    length of each episode. `env_step`: steps taken before.
-    """
-    steps, returns, episodes = [], [], []
-    for _ in range(args.batch_episodes):
-        obs, _ = envs.reset()
-        rewards, done = [], False
-        while not done:
-            actions = agent.act(obs)
-            steps.append({"obs": obs[0], "actions": actions[0]})
-            obs, reward, terminated, truncated, _ = envs.step(actions)
-            rewards.append(reward.item())
-            done = terminated.item() or truncated.item()
-        last_value = 0.0 if terminated else agent.value(torch.as_tensor(obs).to(args.device)).item()
-        returns += discounted_returns(rewards, last_value, args.gamma)
-        env_step += len(rewards)
-        episodes.append({"env_step": env_step, "return": sum(rewards), "length": len(rewards)})
-    batch = torch.utils.data.default_collate(steps)  # stacks the arrays of each name
-    batch["returns"] = torch.tensor(returns)
-    batch = SimpleNamespace(**{name: x.to(args.device) for name, x in batch.items()})
-    return batch, episodes
+    obs: Tensor  # (T, D)
+    actions: Tensor  # (T, K), as drawn; the environment clips them to its bounds
+    rewards: list  # T numbers
+    last_value: float  # 0 if it ended for good (the pole fell), V(s_T) if a time limit cut it off
 
 
-def discounted_returns(rewards, last_value, gamma):
-    """Step 3: G_t = r_t + γ·G_{t+1}, with G_T = `last_value`; lists of T numbers."""
-    returns, G = [], last_value
+def play(env, agent):
+    """Line 1: one episode."""
+    all_obs, actions, rewards, done = [], [], [], False
+    obs, _ = env.reset()
+    while not done:
+        all_obs.append(torch.tensor(obs))
+        actions.append(torch.tensor(agent.act(obs)))
+        obs, reward, terminated, truncated, _ = env.step(actions[-1].numpy())
+        rewards.append(float(reward))
+        done = terminated or truncated
+    last_value = 0.0 if terminated else agent.value(torch.tensor(obs)).item()
+    return Episode(torch.stack(all_obs), torch.stack(actions), rewards, last_value)
+
+
+def sum_rewards(rewards, last_value, gamma):
+    """Line 2: G_t = r_t + γ·G_{t+1}, with G_T = `last_value`. A list of T numbers -> (T,)."""
+    rewards_to_go, G = [], last_value
     for reward in reversed(rewards):
         G = reward + gamma * G
-        returns.append(G)
-    return returns[::-1]
+        rewards_to_go.append(G)
+    return torch.tensor(rewards_to_go[::-1], dtype=torch.float32)
 
 
-def compute_advantages(returns, values, baseline):
-    """Step 4: A = G − b; A, G: (B,). `detach` keeps the policy loss from training the critic."""
-    baselines = {"none": 0.0, "mean": returns.mean(), "value": values.detach()}
-    return returns - baselines[baseline]
+def compute_advantages(rewards_to_go, values, baseline):
+    """Line 3: A = G − b; A, G and V are (B,)."""
+    baselines = {"none": 0.0, "mean": rewards_to_go.mean(), "value": values}
+    return rewards_to_go - baselines[baseline]
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,). Its gradient approximates −∇J (below), up to scale.
+    """Line 4: −mean(A·log π); log π and A are (B,). Why does a step on it raise the return?
 
-    Here V(s) is not the critic but the true expected discounted return from s on, and Q(s,a) the
-    same if a is taken first; ∇ is the gradient with respect to the weights of the actor; E is the
-    mean over all that is not given: the first state s_0, actions, rewards r, next states s'. We
-    maximise J = E[V(s_0)]. Given s and a, r and s' do not depend on the weights, so
-    ∇Q = E[γ·∇V(s')]. Then (the policy gradient theorem, [2] sections 13.2 and 13.3)
+    *One decision.* The agent draws a from π and earns G(a), so on average E[G] = ∫ π(a)·G(a) da.
+    Other weights give the same actions other probabilities. The gradient in the weights says which
+    change raises E[G] fastest:
 
-        ∇V(s) = ∇∫ π(a|s)·Q(s,a) da
-              = ∫ [∇π(a|s)·Q(s,a) + π(a|s)·∇Q(s,a)] da    product rule
-              = E[Q(s,a)·∇log π(a|s) + γ·∇V(s')]          ∇π = π·∇log π;  Q = E[r + γ·V(s')]
-        ∇J = E[∇V(s_0)]
-           = E[Σ_t γ^t·Q(s_t,a_t)·∇log π(a_t|s_t)]        insert ∇V(s') again and again
-           = E[Σ_t γ^t·G_t·∇log π(a_t|s_t)]               on average G_t is Q(s_t,a_t)
+        ∇E[G] = ∫ ∇π(a)·G(a) da
+              = ∫ π(a)·∇log π(a)·G(a) da        because ∇log π = ∇π/π
+              = E[G·∇log π(a)]                  a mean over a drawn from π: so play, and average
 
-    As usual, γ^t is left out, so that late steps count as much as early ones; strictly, what
-    remains is not ∇J. We estimate it by a mean over steps, not a sum, so its scale is independent
-    of their number.
+    *An episode* τ is many decisions. With p for the environment, its probability is
 
-    A baseline b(s) may be subtracted from G, because E[b·∇log π] = b·∫∇π da = b·∇∫π da = b·∇1 = 0:
-    the mean of the estimate does not change. A good baseline removes much of its noise. If all
-    returns are positive, then without a baseline every action that was tried is pushed up, bad ones
-    just by less. With b ≈ V, those that turned out worse than expected are pushed down.
+        P(τ) = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…
 
-    Small biases remain. The baseline `mean`, which includes G_t, and the divisor B both depend on
-    the actions; larger batches reduce these biases. At a time limit, G_T is only the critic's
-    estimate.
+    In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
+    So put τ for a, P for π and the return Σ_i r_i for G in the lines above:
+
+        ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = Σ_t Σ_i E[r_i·∇log π(a_t|s_t)]
+
+    *Less noise.* Whatever happened before a_t, the mean of ∇log π(a_t|s_t) is ∫ π·∇log π da =
+    ∇∫ π da = ∇1 = 0. It stays 0 when multiplied by what is known before a_t: an earlier reward r_i,
+    i < t, or a baseline b(s_t). So we may drop the earlier rewards and subtract b(s_t):
+
+        ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
+
+    Without a baseline, positive rewards make every action that was tried more likely; a bad one
+    loses only because others gain more, as probabilities sum to 1. With b ≈ V it is made less
+    likely, and that removes most of the noise.
+
+    The loss has this gradient, with a minus because optimisers descend, except that
+      - a mean over the steps of the batch replaces the sum over an episode, which rescales it;
+      - A is only an estimate: γ < 1, V(s_T) at a time limit, and b = mean(G), which depends on a_t
+        a little, add some bias in exchange for less noise.
+    The value of the loss itself means nothing; watch the return.
     """
     return -(advantages * log_probs).mean()
 
 
-def optimise(agent, optimizer, batch, args):
-    """Steps 4 and 5: one step of Adam. Returns its metrics."""
-    values = agent.value(batch.obs)
-    advantages = compute_advantages(batch.returns, values, args.baseline)
-    policy = agent.policy(batch.obs)
-    loss_pi = policy_loss(policy.log_prob(batch.actions), advantages)
-    loss_v = ((values - batch.returns) ** 2).mean() / 2
+def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
+    """Lines 3 and 4, on the B steps of a batch. Returns metrics."""
+    values = agent.value(obs)
+    advantages = compute_advantages(rewards_to_go, values.detach(), baseline)  # constants
+    policy = agent.policy(obs)
+    loss_pi = policy_loss(policy.log_prob(actions), advantages)
+    loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
-    (loss_pi + loss_v).backward()  # the networks share no weights: each has its own loss
+    (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    metrics = {"policy_loss": loss_pi, "value_loss": loss_v, "policy_std": policy.stddev.mean()}
-    return {name: x.item() for name, x in metrics.items()}
+    return {"value_loss": loss_v.item(), "policy_std": policy.stddev.mean().item()}
 
 
-def train(args, seed, envs, agent, optimizer, env_step=0):
-    """Yields `env_step`, new episodes and metrics: once before training, then after each update."""
-    envs.reset(seed=make_seeds(seed, stream=2, count=1))  # only seeds; `rollout` resets again
-    yield env_step, [], []
+# --- Training -------------------------------------------------------------------------------------
+
+
+def train(index, args, folder):
+    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
+    torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    seed = args.seed[index]
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # some environments use these
+        set_seed(make_seeds(seed, stream=0, count=1)[0])
+    env = make_env(args.env_id)
+    eval_envs = gym.vector.SyncVectorEnv([lambda: make_env(args.env_id)] * args.eval_episodes)
+    env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it again, without a seed
+    agent = Agent(eval_envs, args.hidden_size)
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
+    log, env_step, num_evals, start = [], 0, 0, time.perf_counter()
+    bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
     while env_step < args.total_steps:
-        # Step 1: anneal the learning rate.
         optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
-        # Steps 2 and 3: play a batch of episodes, compute returns.
-        batch, episodes = rollout(envs, agent, args, env_step)
-        # Steps 4 and 5: compute advantages, update the networks.
-        metrics = optimise(agent, optimizer, batch, args)
-        env_step += len(batch.obs)
-        yield env_step, episodes, [{"env_step": env_step, **metrics}]
+        # 1. Play.
+        episodes = [play(env, agent) for _ in range(args.batch_episodes)]
+        # 2. Compute the rewards to go.
+        rewards_to_go = torch.cat(
+            [sum_rewards(x.rewards, x.last_value, args.gamma) for x in episodes])
+        # 3 and 4. Subtract the baseline, take a gradient step.
+        obs = torch.cat([x.obs for x in episodes])
+        actions = torch.cat([x.actions for x in episodes])
+        metrics = optimise(agent, optimizer, obs, actions, rewards_to_go, args.baseline)
+
+        if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
+            raise ValueError("a weight is not finite: are observations or rewards huge?")
+        env_step += len(obs)
+        bar.update(min(env_step, args.total_steps) - bar.n)
+        log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
+                    "return": np.mean([sum(x.rewards) for x in episodes]), **metrics})
+        if env_step >= num_evals / args.num_evals * args.total_steps:
+            num_evals += 1
+            log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
+            bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
+            save(folder / f"seed-{seed}", log, agent, args)
 
 
 # --- Options --------------------------------------------------------------------------------------
 
 
 def parse_args(argv=None):
-    """The options; most invalid ones end the program with a one-line error."""
     parser = argparse.ArgumentParser(
         usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="random seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=100_000, help="minimum environment steps")
-    add("--out-dir", default="runs", help="where the run's folder is created")
-    add("--device", default="cpu", help="device for the neural networks: cpu, cuda or mps")
-    add("--watch", type=os.path.abspath, metavar="CHECKPOINT", help="evaluate and make a GIF")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations (plus step 0)")
-    add("--eval-episodes", type=number(int, 1), default=20, help="episodes per evaluation")
+    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--total-steps", type=in_range(int, 1), default=100_000, help="environment steps in all")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
-    add("--batch-episodes", type=number(int, 1), default=4, help="episodes per batch")
+    add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
+    add("--out-dir", default="runs", help="where the folder of this run is created")
+    add("--num-evals", type=in_range(int, 1), default=20, help="and one after the first update")
+    add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
+    add("--batch-episodes", type=in_range(int, 1), default=4, help="episodes of a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
-    add("--learning-rate", type=number(float, 0), default=3e-3, help="initial, of both networks")
-    add("--gamma", type=number(float, 0, 1), default=0.98, help="discount factor")
-    add("--hidden-size", type=number(int, 1), default=64, help="units per hidden layer")
-    return parse_and_check(parser, argv)
+    add("--learning-rate", type=in_range(float, 0), default=3e-3, help="falls linearly to 0")
+    add("--gamma", type=in_range(float, 0, 1), default=0.98, help="discount factor")
+    add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
+    return parser.parse_args(argv)
 
 
-def number(kind, low, high=1e12):
-    """An argparse type: an int or float in [low, high]; 1e6 counts as an int."""
+def in_range(kind, low, high=1e12):
+    """An argparse type: a number from `low` to `high`; 1e6 counts as an int."""
 
-    def option(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text}: no {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} in [{low}, {high:g}]")
         return kind(value)
 
-    return option
+    return number
 
 
 # ==================================================================================================
@@ -254,155 +275,116 @@ def number(kind, low, high=1e12):
 # ==================================================================================================
 
 
-def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; one without a time limit gets 10,000 steps. NaN or inf: ValueError."""
-    envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
-        lambda env: env if env.spec.max_episode_steps else gym.wrappers.TimeLimit(env, 10_000),
-        gym.wrappers.ClipAction], **kwargs)
-    # Checked as float32 ("f4"), so that an overflow is caught, too.
-    envs = gym.wrappers.vector.TransformReward(envs, lambda x: np.asarray_chkfinite(x, "f4"))
-    return gym.wrappers.vector.TransformObservation(envs, lambda x: np.asarray_chkfinite(x, "f4"))
-
-
 def make_seeds(seed, stream, count):
-    """Seeds for each stream: 0 PyTorch in new runs, 1 evaluation, 2 + k training from step k."""
-    return np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count).tolist()
+    """Seeds below 2³¹, like no other stream's: 0 for generators, 1 evaluation, 2 training."""
+    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
+
+
+def make_env(env_id, **kwargs):
+    """One environment, which clips actions to its bounds."""
+    try:
+        env = gym.make(env_id, **kwargs)
+    except (gym.error.Error, ImportError) as error:
+        sys.exit(f"--env-id {env_id}: {error}")
+    obs_space, space = env.observation_space, env.action_space
+    if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
+            and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
+        env.close()
+        sys.exit(f"{env_id}: needs flat Boxes, actions of floats, but has {obs_space}, {space}")
+    env = Checked(gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000))
+    return gym.wrappers.TransformAction(
+        env, lambda x: x.clip(space.low, space.high).astype(space.dtype), space)
+
+
+class Checked(gym.Wrapper):
+    """NaN or infinity is a ValueError; the only `info` is the return, when an episode has ended."""
+
+    def reset(self, *, seed=None, options=None):
+        self.total = 0.0
+        if seed is not None:  # some environments draw from their spaces
+            self.observation_space.seed(seed)
+            self.action_space.seed(seed)
+        obs, _ = self.env.reset(seed=seed, options=options or None)
+        return np.asarray_chkfinite(obs, np.float32), {}
+
+    def step(self, action):
+        obs, reward, terminated, truncated, _ = self.env.step(action)
+        self.total += np.asarray_chkfinite(reward, np.float32).item()
+        info = {"return": self.total} if terminated or truncated else {}
+        return np.asarray_chkfinite(obs, np.float32), reward, terminated, truncated, info
 
 
 def evaluate(agent, envs, seed):
-    """One episode of deterministic actions in each environment; the same first states each time."""
+    """The mean return of one episode in each environment, with deterministic actions."""
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
-    returns, lengths = np.zeros((2, envs.num_envs))
-    playing = np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # finished ones keep running, but no longer count
+    returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
+    while playing.any():  # environments that are done go on, but no longer count
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += playing * rewards
-        lengths += playing
         playing &= ~(terminated | truncated)
-    return {"return_mean": returns.mean().item(), "return_std": returns.std().item(),
-            "length_mean": lengths.mean().item()}
+    return returns.mean().item()
+
+
+def save(path, log, agent, args):
+    """Write new files, then put them in place of the old ones, so that none is ever cut short."""
+    pd.DataFrame(log).to_csv(f"{path}.csv.new", index=False)
+    torch.save({**vars(args), "agent": agent.state_dict()}, f"{path}.pt.new")
+    for suffix in "csv", "pt":
+        Path(f"{path}.{suffix}.new").replace(f"{path}.{suffix}")
 
 
 def watch(args):
-    """Evaluate a checkpoint; beside it, save a GIF of the first episode if it can be drawn."""
+    """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
-    envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    agent = Agent(envs.single_observation_space, envs.single_action_space, args)
-    agent.load_state_dict(torch.load(args.watch, "cpu", weights_only=True)["agent"])
-    print(pd.Series(evaluate(agent, envs, args.seed[0])).round(1).to_string())
-    if "rgb_array" in envs.metadata["render_modes"]:
-        camera = make_envs(args.env_id, 1, "NextStep", render_mode="rgb_array_list")
-        evaluate(agent, camera, args.seed[0])
-        frames = camera.render()[0][::5]  # for a smaller file
-        imageio.imwrite(Path(args.watch).with_suffix(".gif"), frames, duration=50, loop=0)
-
-
-def run(index, args, folder):
-    """Train the agent of one seed; save its tables and a checkpoint at every evaluation."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more threads
-    seed = args.seed[index]
-    folder = folder / f"seed-{seed}"
-    folder.mkdir()
-    torch.manual_seed(make_seeds(seed, stream=0, count=1)[0])
-    envs = make_envs(args.env_id, 1, "Disabled")  # `rollout` resets it
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")  # reset themselves
-    agent = Agent(envs.single_observation_space, envs.single_action_space, args).to(args.device)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # `train` sets its learning rate
-    tables = {"evals": [], "episodes": [], "metrics": []}
-    seconds = 0.0
-    evals_due = np.linspace(0, args.total_steps, args.num_evals + 1, dtype=int)
-    with tqdm(total=args.total_steps, disable=index > 0) as bar:
-        start = time.perf_counter()
-        for env_step, episodes, metrics in train(args, seed, envs, agent, optimizer):
-            seconds += time.perf_counter() - start
-            tables["episodes"] += episodes
-            tables["metrics"] += metrics
-            bar.update(min(env_step, args.total_steps) - bar.n)
-            if env_step >= evals_due[0]:
-                evals_due = evals_due[evals_due > env_step]
-                result = evaluate(agent, eval_envs, seed)
-                tables["evals"].append({"env_step": env_step, "seconds": seconds, **result})
-                bar.set_postfix_str(f"return {result['return_mean']:.1f}")
-                save(folder, {"args": {**vars(args), "seed": [seed]}, "tables": tables,
-                              "agent": agent.state_dict()})
-            if (parent := torch.multiprocessing.parent_process()) and not parent.is_alive():
-                return  # the parent process was killed, so stop, too
-            start = time.perf_counter()
-
-
-def save(folder, checkpoint):
-    """Write new files, then replace the old ones, so that none is ever half-written."""
-    for name, rows in checkpoint["tables"].items():
-        if rows:
-            pd.DataFrame(rows).to_csv(folder / f"{name}.csv.new", index=False)
-    torch.save(checkpoint, folder / "checkpoint.pt.new")
-    for file in sorted(folder.glob("*.new")):
-        file.replace(file.with_suffix(""))
-
-
-def report(folder, env_id):
-    """Print the result of each seed; draw learning_curve.png: mean and range over seeds."""
-    files = sorted(folder.glob("seed-*/*.csv"))
-    data = pd.concat([pd.read_csv(file).assign(seed=file.parent.name) for file in files])
-    results = data.groupby("seed")[["env_step", "seconds", "return_mean", "return_std"]].last()
-    print(folder, results.round(1), sep="\n")
-    # In bins, so that each point of the figure is a mean over a fiftieth of the run:
-    data["env_step"] -= data["env_step"] % (data["env_step"].max() // 50 + 1)
-    data = data.groupby(["env_step", "seed"]).mean().unstack()
-    # As seeds end batches at different steps, interpolate, so that each point has all seeds.
-    data = data.interpolate("index", limit_area="inside").stack(future_stack=True)
-    figure = Figure(figsize=(12, 9), layout="constrained")
-    panels = figure.subplot_mosaic([
-        ["return"] * 3, ["policy_loss", "value_loss", "policy_std"]], height_ratios=(3, 1))
-    if threshold := gym.make(env_id).spec.reward_threshold:
-        panels["return"].axhline(threshold, color="grey", label=f"threshold: {threshold:g}")
-    labels = {"return": "training", "return_mean": "evaluation: deterministic actions"}
-    for name in data.columns.intersection([*panels, *labels]):
-        sns.lineplot(data, x="env_step", y=name, errorbar=("pi", 100), label=labels.get(name),
-                     ax=panels[name.removesuffix("_mean")]).locator_params(axis="x", nbins=4)
-    figure.savefig(folder / "learning_curve.png")
-
-
-def parse_and_check(parser, argv):
-    """Check the options. A checkpoint's options become the defaults."""
-    args = parser.parse_args(argv)
-    if path := args.watch:
-        try:
-            saved = torch.load(path, "cpu", weights_only=True)["args"]
-            args = parser.parse_args(argv, argparse.Namespace(**saved))
-        except Exception as error:
-            parser.error(f"argument CHECKPOINT {path}: {error!r}")
     try:
-        env = gym.make(args.env_id)
-    except (gym.error.Error, ImportError, ValueError) as error:
-        parser.error(f"argument --env-id: {error!r}")
-    spaces = env.observation_space, env.action_space
-    fits = all(isinstance(space, gym.spaces.Box) and len(space.shape) == 1 for space in spaces)
-    if not fits or env.action_space.dtype.kind != "f":
-        parser.error("argument --env-id: takes flat Box observations and flat Box actions")
-    return args
+        saved = torch.load(args.watch, weights_only=True)
+        envs = gym.vector.SyncVectorEnv([lambda: make_env(saved["env_id"])] * args.eval_episodes)
+        agent = Agent(envs, saved["hidden_size"])
+        agent.load_state_dict(saved["agent"])
+        print("return:", evaluate(agent, envs, args.seed[0]))
+        film = gym.vector.SyncVectorEnv(
+            [lambda: make_env(saved["env_id"], render_mode="rgb_array_list")])
+        evaluate(agent, film, args.seed[0])
+        imageio.imwrite(args.watch.with_suffix(".gif"), film.render()[0][::5], duration=50, loop=0)
+    except Exception as error:  # no agent of this script, an environment that cannot be drawn, …
+        sys.exit(f"--watch {args.watch}: {error!r}")
+
+
+def plot(folder):
+    """Draw learning_curve.png; print the end of each seed's log."""
+    files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
+    log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
+    figure = Figure(figsize=(12, 8), layout="constrained")
+    diagnostics = ["value_loss", "policy_std"]
+    axes = figure.subplot_mosaic([["return"] * 2, diagnostics], height_ratios=(3, 1))
+    for name, ax in axes.items():
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
+                     alpha=0.4 if name == "return" else 1.0)
+    sns.lineplot(log, x="env_step", y="eval_return", hue="seed", estimator=None, ax=axes["return"])
+    axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
+    figure.savefig(folder / "learning_curve.png")
+    print(folder, log.groupby("seed", sort=False)[["env_step", "eval_return"]].last(), sep="\n")
 
 
 def main():
+    sys.path.append(str(Path.cwd()))  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
         return watch(args)
+    if len(set(args.seed)) < len(args.seed):
+        sys.exit(f"--seed {args.seed}: each only once")
+    make_env(args.env_id).close()  # if --env-id is wrong, the program ends here
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-"))
+    folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     folder.mkdir(parents=True)
-    record = {**vars(args), "command": sys.argv,
-              "versions": {x: version(x) for x in ("torch", "gymnasium", "mujoco", "numpy")}}
-    (folder / "args.json").write_text(json.dumps(record, indent=2))
     try:
         if len(args.seed) == 1:
-            run(0, args, folder)
-        else:
-            torch.multiprocessing.spawn(run, (args, folder), len(args.seed), daemon=True)
-    except KeyboardInterrupt:
-        sys.exit(130)
-    finally:
-        if any(folder.glob("seed-*/*.csv")):  # none if it ended before the first evaluation
-            report(folder, args.env_id)
+            train(0, args, folder)
+        else:  # train(0, args, folder), train(1, …), …, each in a process
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
+    finally:  # after Ctrl-C, too
+        if any(folder.glob("*.csv")):
+            plot(folder)
 
 
 if __name__ == "__main__":
