@@ -34,7 +34,7 @@ it away. PPO [1] takes many, so it learns more from the same experience. But a r
      and end the update as soon as π is too far from π_old: when KL(π_old ‖ π) > max_kl.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Lines 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6 and
+2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6 and
 max_kl, standardised A, orthogonal initial weights, small ones in the actor's last layer, and tanh,
 which takes actions into their bounds. Others usually learn σ instead of annealing it, and add an
 entropy bonus, clipped gradients and a clipped value loss; these are left out here.
@@ -146,7 +146,7 @@ def squash(actions, space):
     return inside.clip(space.low, space.high).astype(space.dtype)  # rounding may go beyond
 
 
-# --- An update, line by line ----------------------------------------------------------------------
+# --- An update, point by point --------------------------------------------------------------------
 
 
 class Transitions(NamedTuple):
@@ -161,7 +161,7 @@ class Transitions(NamedTuple):
 
 
 def rollout(envs, agent, obs, num_steps):
-    """Line 2, from observations `obs` (N, D) on.
+    """2. T steps of each environment, from observations `obs` (N, D) on.
 
     `envs.step` takes N actions and returns arrays with a row for each environment (and `infos`, a
     dictionary of arrays). Episodes end at different steps; `envs.reset` starts new ones where its
@@ -185,7 +185,7 @@ def rollout(envs, agent, obs, num_steps):
 
 
 def scale_rewards(rewards, done, past_rewards, stats, gamma):
-    """Line 3: divide rewards (T, N) by the standard deviation of the sums
+    """3. Divide rewards (T, N) by the standard deviation of the sums
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
@@ -203,7 +203,7 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
-    """Line 4: generalised advantage estimation; all (T, N) ([2] eq. 11 and 16).
+    """4. Generalised advantage estimation; all (T, N) ([2] eq. 11 and 16).
 
         δ_t = r_t + γ·V(s_{t+1}) − V(s_t)               how much better one step was than expected
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
@@ -221,7 +221,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
-        advantages[t] += gamma * gae_lambda * ~done[t] * advantages[t + 1]
+        advantages[t] += gamma * gae_lambda * advantages[t + 1] * ~done[t]
     return advantages
 
 
@@ -263,7 +263,7 @@ def approximate_kl(log_ratio):
 
 def optimise(agent, optimizer, obs, actions, old_log_probs, advantages, targets,
              epochs, minibatch_size, clip_eps, max_kl):
-    """Line 5, on all T·N samples of a rollout. Returns metrics of the last minibatch."""
+    """5. On all T·N samples of a rollout. Returns metrics of the last minibatch."""
     shuffled = torch.cat([torch.randperm(len(obs)) for _ in range(epochs)])  # all, in each epoch
     for rows in shuffled.split(minibatch_size):
         log_ratio = agent.policy(obs[rows]).log_prob(actions[rows]) - old_log_probs[rows]
@@ -288,7 +288,7 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # some environments use these
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # environments may use these
         set_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
@@ -296,7 +296,7 @@ def train(index, args, folder):
     agent = Agent(envs, args.hidden_size)
     optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
     reward_stats, past_rewards = RunningStatistics(), torch.zeros(1)
-    log, env_step, num_evals, start = [], 0, 0, time.perf_counter()
+    log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
     bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
     while env_step < args.total_steps:
         # 1. Anneal.
@@ -330,8 +330,8 @@ def train(index, args, folder):
         bar.update(min(env_step, args.total_steps) - bar.n)
         log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                     "return": np.mean(returns) if returns else np.nan, **metrics})
-        if env_step >= num_evals / args.num_evals * args.total_steps:
-            num_evals += 1
+        if env_step >= evals_done / args.num_evals * args.total_steps:
+            evals_done += 1
             log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
             bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
             save(folder / f"seed-{seed}", log, agent, args)
@@ -384,7 +384,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, like no other stream's: 0 for generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different for each stream: 0 generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
 
 
@@ -401,7 +401,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
-            and np.abs([space.low, space.high]).max() < 1e30):  # larger ones mean no bound
+            and np.abs([space.low, space.high], dtype=float).max() < 1e30):  # larger ones mean no bound
         envs.close()
         sys.exit(f"{env_id}: needs flat Boxes, actions of bounded floats; has {obs_space}, {space}")
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
@@ -416,13 +416,13 @@ class Checked(gym.Wrapper):
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
         obs, _ = self.env.reset(seed=seed, options=options or None)
-        return np.asarray_chkfinite(obs, np.float32), {}
+        return np.asarray_chkfinite(obs), {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
         self.total += np.asarray_chkfinite(reward, np.float32).item()
         info = {"return": self.total} if terminated or truncated else {}
-        return np.asarray_chkfinite(obs, np.float32), reward, terminated, truncated, info
+        return np.asarray_chkfinite(obs), reward, terminated, truncated, info
 
 
 def evaluate(agent, envs, seed):

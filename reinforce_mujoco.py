@@ -8,21 +8,21 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents side by side to balance a pole on a cart. In a good run the return climbs within
-a minute from 6, which random actions earn, to 1000, the most that an episode can earn.
+a minute from 5, which random actions earn, to 1000, the most that an episode can earn.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
 environment answers with a reward r (1 while the pole is up) and the next state, until the episode
 ends. We want a high *return*, the sum of all rewards of an episode.
 
-The policy is a neural network, the actor, which outputs the mean and the standard deviation of a
-Gaussian. It learns by trial and error: actions that high rewards followed become more likely.
+The policy is a Gaussian whose mean and standard deviation come from a neural network, the actor. It
+learns by trial and error: actions followed by high rewards become more likely.
 
   1. Play a batch of episodes with π.
   2. For each step t, compute the *reward to go*: the rewards from t on, later ones counting less,
          G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
-     With γ = 0.98 a reward 50 steps later counts only γ^50 ≈ 0.36. An action has little to do with
-     what happens long after it, so counting that in full would mostly add noise.
+     With γ = 0.98 a reward 50 steps later counts only γ^50 ≈ 0.36. What happens much later usually
+     owes little to this action, so counting it in full would mostly add noise.
   3. Subtract a baseline b_t:  A_t = G_t − b_t.  With a good b, A_t > 0 means better than expected.
          --baseline none    b_t = 0
          --baseline mean    b_t = the mean of G over the batch
@@ -33,8 +33,9 @@ Gaussian. It learns by trial and error: actions that high rewards followed becom
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
-orthogonal initial weights, a standard deviation of at least 0.1, and a critic for time limits: when
-an episode was cut off there, V stands for the rewards that would have followed [3].
+orthogonal initial weights, a standard deviation of at least 0.1 and, where a time limit cuts an
+episode off, V(s_T) in place of the rewards that would have followed [3], with every baseline.
+Actions start with mean 0 and standard deviation 0.8, which suits bounds of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -49,7 +50,6 @@ import random
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import gymnasium as gym
 import imageio.v3 as imageio
@@ -58,7 +58,7 @@ import pandas as pd
 import seaborn as sns
 import torch
 from matplotlib.figure import Figure
-from torch import Tensor, nn
+from torch import nn
 from tqdm import tqdm
 
 # --- Agent ----------------------------------------------------------------------------------------
@@ -75,18 +75,18 @@ class Agent(nn.Module):
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
-        mean, raw_std = self.actor(obs).chunk(2, dim=-1)
+        mean, raw_std = self.actor(obs.float()).chunk(2, dim=-1)
         std = nn.functional.softplus(raw_std) + 0.1  # at least 0.1, so that it keeps exploring
         return torch.distributions.Independent(torch.distributions.Normal(mean, std), 1)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,)."""
-        return self.critic(obs).squeeze(-1)
+        return self.critic(obs.float()).squeeze(-1)
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
         """NumPy observations (…, D) -> NumPy actions (…, K): drawn from π, or its mean."""
-        policy = self.policy(torch.tensor(obs, dtype=torch.float32))
+        policy = self.policy(torch.tensor(obs))
         return (policy.mean if deterministic else policy.sample()).numpy()
 
 
@@ -102,34 +102,30 @@ def mlp(inputs, hidden, outputs, last_gain):
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
 
 
-# --- An update, line by line ----------------------------------------------------------------------
-
-
-class Episode(NamedTuple):
-    """What happened in T steps, up to the end of an episode."""
-
-    obs: Tensor  # (T, D)
-    actions: Tensor  # (T, K), as drawn; the environment clips them to its bounds
-    rewards: list  # T numbers
-    last_value: float  # 0 if it ended for good (the pole fell), V(s_T) if a time limit cut it off
+# --- An update, point by point --------------------------------------------------------------------
 
 
 def play(env, agent):
-    """Line 1: one episode."""
+    """1. One episode of T steps.
+
+    Returns observations (T, D), actions (T, K) as drawn (the environment clips them to its bounds),
+    T rewards, and what may still have followed: 0 if the episode ended for good (the pole fell),
+    V(s_T) if a time limit cut it off.
+    """
     all_obs, actions, rewards, done = [], [], [], False
     obs, _ = env.reset()
     while not done:
-        all_obs.append(torch.tensor(obs))
-        actions.append(torch.tensor(agent.act(obs)))
-        obs, reward, terminated, truncated, _ = env.step(actions[-1].numpy())
+        all_obs.append(obs.copy())  # some environments return one array again and again
+        actions.append(agent.act(obs))
+        obs, reward, terminated, truncated, _ = env.step(actions[-1])
         rewards.append(float(reward))
         done = terminated or truncated
     last_value = 0.0 if terminated else agent.value(torch.tensor(obs)).item()
-    return Episode(torch.stack(all_obs), torch.stack(actions), rewards, last_value)
+    return torch.tensor(np.stack(all_obs)), torch.tensor(np.stack(actions)), rewards, last_value
 
 
 def sum_rewards(rewards, last_value, gamma):
-    """Line 2: G_t = r_t + γ·G_{t+1}, with G_T = `last_value`. A list of T numbers -> (T,)."""
+    """2. G_t = r_t + γ·G_{t+1}, with G_T = `last_value`. A list of T numbers -> (T,)."""
     rewards_to_go, G = [], last_value
     for reward in reversed(rewards):
         G = reward + gamma * G
@@ -138,21 +134,21 @@ def sum_rewards(rewards, last_value, gamma):
 
 
 def compute_advantages(rewards_to_go, values, baseline):
-    """Line 3: A = G − b; A, G and V are (B,)."""
+    """3. A = G − b; A, G and V are (B,)."""
     baselines = {"none": 0.0, "mean": rewards_to_go.mean(), "value": values}
     return rewards_to_go - baselines[baseline]
 
 
 def policy_loss(log_probs, advantages):
-    """Line 4: −mean(A·log π); log π and A are (B,). Why does a step on it raise the return?
+    """4. −mean(A·log π); log π and A are (B,). Why does a step on it raise the return?
 
-    *One decision.* The agent draws a from π and earns G(a), so on average E[G] = ∫ π(a)·G(a) da.
-    Other weights give the same actions other probabilities. The gradient in the weights says which
-    change raises E[G] fastest:
+    *One decision.* The agent draws a from π and earns G(a), on average E[G] = ∫ π(a)·G(a) da. The
+    weights only change how likely each action is, not what it earns. The gradient with respect to
+    them says which change raises E[G] fastest:
 
         ∇E[G] = ∫ ∇π(a)·G(a) da
               = ∫ π(a)·∇log π(a)·G(a) da        because ∇log π = ∇π/π
-              = E[G·∇log π(a)]                  a mean over a drawn from π: so play, and average
+              = E[G·∇log π(a)]                  an average over π's own actions: so play!
 
     *An episode* τ is many decisions. With p for the environment, its probability is
 
@@ -169,21 +165,20 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    Without a baseline, positive rewards make every action that was tried more likely; a bad one
-    loses only because others gain more, as probabilities sum to 1. With b ≈ V it is made less
-    likely, and that removes most of the noise.
+    Without a baseline, positive rewards push up every action that was tried; a bad one loses only
+    because others gain more, as probabilities sum to 1. With b ≈ V it is pushed down directly. The
+    gradient is then usually far less noisy.
 
-    The loss has this gradient, with a minus because optimisers descend, except that
-      - a mean over the steps of the batch replaces the sum over an episode, which rescales it;
-      - A is only an estimate: γ < 1, V(s_T) at a time limit, and b = mean(G), which depends on a_t
-        a little, add some bias in exchange for less noise.
-    The value of the loss itself means nothing; watch the return.
+    The loss has this gradient, with A constant, and a minus as optimisers descend, except that
+      - dividing by the steps of the batch changes the scale, a little differently in each batch;
+      - γ < 1, and b = mean(G), which depends on a_t a little, accept some bias for less noise;
+      - V(s_T) stands for rewards beyond the time limit, which the return lacks.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
-    """Lines 3 and 4, on the B steps of a batch. Returns metrics."""
+    """3 and 4, on the B steps of a batch. Returns metrics."""
     values = agent.value(obs)
     advantages = compute_advantages(rewards_to_go, values.detach(), baseline)  # constants
     policy = agent.policy(obs)
@@ -202,25 +197,24 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # some environments use these
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # environments may use these
         set_seed(make_seeds(seed, stream=0, count=1)[0])
     env = make_env(args.env_id)
     eval_envs = gym.vector.SyncVectorEnv([lambda: make_env(args.env_id)] * args.eval_episodes)
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it again, without a seed
     agent = Agent(eval_envs, args.hidden_size)
     optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
-    log, env_step, num_evals, start = [], 0, 0, time.perf_counter()
+    log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
     bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
     while env_step < args.total_steps:
         optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
         # 1. Play.
         episodes = [play(env, agent) for _ in range(args.batch_episodes)]
+        obs, actions, rewards, last_values = zip(*episodes)
         # 2. Compute the rewards to go.
-        rewards_to_go = torch.cat(
-            [sum_rewards(x.rewards, x.last_value, args.gamma) for x in episodes])
+        rewards_to_go = [sum_rewards(r, v, args.gamma) for r, v in zip(rewards, last_values)]
         # 3 and 4. Subtract the baseline, take a gradient step.
-        obs = torch.cat([x.obs for x in episodes])
-        actions = torch.cat([x.actions for x in episodes])
+        obs, actions, rewards_to_go = torch.cat(obs), torch.cat(actions), torch.cat(rewards_to_go)
         metrics = optimise(agent, optimizer, obs, actions, rewards_to_go, args.baseline)
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
@@ -228,9 +222,9 @@ def train(index, args, folder):
         env_step += len(obs)
         bar.update(min(env_step, args.total_steps) - bar.n)
         log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                    "return": np.mean([sum(x.rewards) for x in episodes]), **metrics})
-        if env_step >= num_evals / args.num_evals * args.total_steps:
-            num_evals += 1
+                    "return": np.mean([sum(x) for x in rewards]), **metrics})
+        if env_step >= evals_done / args.num_evals * args.total_steps:
+            evals_done += 1
             log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
             bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
             save(folder / f"seed-{seed}", log, agent, args)
@@ -276,7 +270,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, like no other stream's: 0 for generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different for each stream: 0 generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
 
 
@@ -305,13 +299,13 @@ class Checked(gym.Wrapper):
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
         obs, _ = self.env.reset(seed=seed, options=options or None)
-        return np.asarray_chkfinite(obs, np.float32), {}
+        return np.asarray_chkfinite(obs), {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
         self.total += np.asarray_chkfinite(reward, np.float32).item()
         info = {"return": self.total} if terminated or truncated else {}
-        return np.asarray_chkfinite(obs, np.float32), reward, terminated, truncated, info
+        return np.asarray_chkfinite(obs), reward, terminated, truncated, info
 
 
 def evaluate(agent, envs, seed):

@@ -1,7 +1,5 @@
 """PPO that plays in several processes: torchrun --standalone --nproc-per-node 2 together.py"""
 
-import tempfile
-
 import torch
 from torch import distributed
 
@@ -10,29 +8,25 @@ import ppo_continuous as ppo
 play = ppo.rollout
 
 
-def rollout(envs, agent, obs, args, env_step):
+def rollout(envs, agent, obs, num_steps):
     """The agent of process 0 plays in every process; each gets the transitions of all."""
     for tensor in agent.state_dict().values():
         distributed.broadcast(tensor, src=0)
-    batch, obs, episodes = play(envs, agent, obs, args, env_step)
+    batch, obs, returns = play(envs, agent, obs, num_steps)
     parts = [None] * distributed.get_world_size()
-    distributed.all_gather_object(parts, (vars(batch), episodes))
-    for name in vars(batch):
-        setattr(batch, name, torch.cat([columns[name] for columns, _ in parts], dim=1))
-    episodes = [row for _, rows in parts for row in rows]
-    for row in episodes:  # it has counted the steps of its own process
-        row["env_step"] = env_step + (row["env_step"] - env_step) * len(parts)
-    return batch, obs, episodes
+    distributed.all_gather_object(parts, (batch, returns))
+    columns = zip(*[batch for batch, _ in parts])
+    batch = ppo.Transitions(*[torch.cat(column, dim=1) for column in columns])
+    return batch, obs, sum([returns for _, returns in parts], [])
 
 
 def play_along(args):
-    """Run like process 0, but leave updates, evaluations and files to it."""
+    """Train like process 0, but leave updates, evaluations and files to it."""
     args.seed = [args.seed[0], args.seed[0] + 10**6 * distributed.get_rank()]
-    ppo.optimise = lambda *_: None
-    ppo.evaluate = lambda *_: {"return_mean": 0.0}
+    ppo.optimise = lambda *_: {}
+    ppo.evaluate = lambda *_: 0.0
     ppo.save = lambda *_: None
-    with tempfile.TemporaryDirectory() as folder:
-        ppo.run(1, args, ppo.Path(folder))  # the second seed: other noise and episodes, and no bar
+    ppo.train(1, args, ppo.Path())  # the second seed: other noise and episodes, and no bar
 
 
 if __name__ == "__main__":

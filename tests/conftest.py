@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
 from typing import NamedTuple
 
+import gymnasium as gym
 import pytest
 import torch
 from harness import STRICT, run, run_folder
@@ -18,7 +19,7 @@ class Script(NamedTuple):
     env_id: str
     sizes: str  # a short training: 512 steps
     worlds: str = ""  # prefix of the worlds whose actions fit
-    seeds: tuple = (3, 4)
+    seeds: tuple = (3, 11)
 
     @property
     def name(self):
@@ -33,16 +34,30 @@ class Script(NamedTuple):
         return [*self.sizes.split(), "--total-steps", "512", "--num-evals", "4",
                 "--eval-episodes", "2"]
 
-    def world(self, name):
-        return f"harness:{self.worlds}{name}-v0"
+    def world(self, name, place="harness"):
+        return f"{place}:{self.worlds}{name}-v0"
+
+    def envs(self, env_id, count):
+        """Environments that reset themselves."""
+        if self.name == "reinforce_mujoco":
+            return gym.vector.SyncVectorEnv([lambda: self.module.make_env(env_id)] * count)
+        randomize = {"randomize": False} if self.name == "a2c_vector" else {}
+        return self.module.make_envs(env_id, count, "NextStep", **randomize)
 
     def train(self, folder, *arguments, seed=3, env_id=None):
-        """Train a seed in this process; returns the folder of the seed."""
+        """Train a seed in this process; returns the path of its files, without a suffix."""
         options = ["--env-id", env_id or self.env_id, *self.small, *map(str, arguments)]
         args = self.module.parse_args([*options, "--seed", str(seed)])
         folder.mkdir(parents=True, exist_ok=True)
-        self.module.run(0, args, folder)
+        self.module.train(0, args, folder)
         return folder / f"seed-{seed}"
+
+    def load_agent(self, path):
+        """The agent that is saved at `path`, a path without a suffix."""
+        saved = torch.load(f"{path}.pt", weights_only=True)
+        agent = self.module.Agent(self.envs(saved["env_id"], 1), saved["hidden_size"])
+        agent.load_state_dict(saved["agent"])
+        return agent
 
 
 SCRIPTS = {

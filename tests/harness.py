@@ -1,6 +1,6 @@
 """What the tests share: running a script as a user would, and small worlds with known answers."""
 
-import json
+import copy
 import os
 import subprocess
 import sys
@@ -9,13 +9,13 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pandas as pd
+import torch
 from gymnasium.spaces import Box, Discrete
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = Path(__file__).resolve().parent
 
 # --- Running a script -----------------------------------------------------------------------------
-
 
 # Every warning ends a run, but for deprecations: next year's packages may announce some.
 LATER = "DeprecationWarning", "PendingDeprecationWarning", "FutureWarning"
@@ -51,19 +51,55 @@ def run_folder(cwd):
     return folder
 
 
-def results(process):
-    """The table that a run prints: a row for each seed, by its name."""
-    _, columns, _, *rows = map(str.split, process.out.splitlines())
-    return pd.DataFrame.from_dict({name: x for name, *x in rows}, "index", float, columns)
+def read_log(path):
+    """The log of a seed, without the column that no seed determines."""
+    return pd.read_csv(path).drop(columns="seconds")
 
 
-def table(path):
-    """A CSV file without the column that no seed determines."""
-    return pd.read_csv(path).drop(columns="seconds", errors="ignore")
+def load(path):
+    return torch.load(path, weights_only=True)
 
 
-def read_json(path):
-    return json.loads(Path(path).read_text())
+# --- Watching a training --------------------------------------------------------------------------
+
+
+def spy(monkeypatch, module, name, keep):
+    """A list of what keep(*arguments) returns whenever the function `name` is called."""
+    kept, function = [], getattr(module, name)
+
+    def spied(*arguments):
+        kept.append(keep(*arguments))
+        return function(*arguments)
+
+    monkeypatch.setattr(module, name, spied)
+    return kept
+
+
+def spy_rollouts(monkeypatch, module, change=lambda agent, batch: batch):
+    """A list of (the agent as it played, its transitions, the agent itself).
+
+    `change` may replace the transitions.
+    """
+    kept, rollout = [], module.rollout
+
+    def spied(envs, agent, *rest):
+        player = copy.deepcopy(agent)
+        batch, obs, returns = rollout(envs, agent, *rest)
+        batch = change(agent, batch)
+        kept.append((player, batch, agent))
+        return batch, obs, returns
+
+    monkeypatch.setattr(module, "rollout", spied)
+    return kept
+
+
+def train(monkeypatch, module, *options):
+    """Train in this process, without evaluations or files; returns the log."""
+    monkeypatch.setattr(module, "evaluate", lambda *_: 0.0)
+    logs = []
+    monkeypatch.setattr(module, "save", lambda path, log, *_: logs.append(pd.DataFrame(log)))
+    module.train(0, module.parse_args([str(x) for x in options]), Path())
+    return logs[-1]
 
 
 # --- Worlds ---------------------------------------------------------------------------------------
@@ -92,13 +128,16 @@ class World(gym.Env):
         return self.observe(), {}
 
     def step(self, action):
-        assert self.action_space.contains(action), f"{action} is out of bounds"
+        assert self.action_space.contains(action), f"{action!r} is out of bounds"
         self.steps += 1
         self.total += 1
-        return self.observe(), self.reward(action), self.steps == self.length, False, {}
+        return self.observe(), self.reward(action), self.steps == self.length, False, self.info()
 
     def reward(self, action):
         return 1.0
+
+    def info(self):
+        return {}
 
 
 class Timeless(World):
@@ -115,6 +154,25 @@ class Target(World):
         return -float(np.square(action - TARGET).sum())
 
 
+class Sign(World):
+    """One step; the best action is 0 where the first number shown is negative, else 2."""
+
+    def reward(self, action):
+        return float(action == (0 if self.episode < 0 else 2))
+
+
+class Uneven(World):
+    """Episodes of 3 steps, of 7 if its first number is positive; the action is the reward."""
+
+    def reset(self, *, seed=None, options=None):
+        shown = super().reset(seed=seed, options=options)
+        self.length = 7 if self.episode > 0 else 3
+        return shown
+
+    def reward(self, action):
+        return float(action.sum())
+
+
 def register(name, world=World, limit=None, **kwargs):
     """Register a world twice: name-v0, and Discretename-v0 with the actions 0, 1 and 2."""
     for prefix, actions in ("", ACTIONS), ("Discrete", Discrete(3)):
@@ -128,3 +186,5 @@ register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
 register("Timeless", Timeless, limit=8, length=None)
 register("Target", Target, length=1)
+register("Sign", Sign, length=1)
+register("Uneven", Uneven)

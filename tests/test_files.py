@@ -1,10 +1,12 @@
-"""What a run leaves: its folder, tables, args.json, checkpoint, and the lines it prints."""
+"""What a run prints and leaves: its log, its agent, its figure; evaluations, seeds, --watch."""
 
-import itertools
-import json
-import math
+import ctypes.util
+import os
 import re
-from types import SimpleNamespace
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -12,167 +14,105 @@ import pandas as pd
 import pytest
 import torch
 from conftest import SCRIPTS, only
-from harness import ROOT, World, read_json, register, results, run, table
+from harness import ACTIONS, ROOT, STRICT, TESTS, World, load, read_log, register, run, run_folder
+from matplotlib.figure import Figure
+from PIL import Image
 
+import ppo_continuous as ppo
 
-class Counts(World):
-    def observe(self):
-        return np.array([self.steps, 7])
-
-
-register("Counts", Counts, observations=gym.spaces.Box(0, 9, (2,), np.int64))
-TABLES = "episodes", "metrics", "evals"
 METRICS = {
-    "reinforce_mujoco": ["policy_loss", "value_loss", "policy_std"],
-    "a2c_vector": ["policy_loss", "value_loss", "explained_variance", "entropy"],
-    "ppo_continuous": ["learning_rate", "policy_loss", "value_loss", "explained_variance",
-                       "approximate_kl", "clip_fraction"],
+    "reinforce_mujoco": {"value_loss", "policy_std"},
+    "a2c_vector": {"value_loss", "explained_variance", "entropy"},
+    "ppo_continuous": {"value_loss", "explained_variance", "kl", "clip_fraction"},
 }
 
 
-def steps(folder, name="metrics"):
-    return pd.read_csv(folder / f"{name}.csv")["env_step"].tolist()
-
-
-def load(folder):
-    return torch.load(folder / "checkpoint.pt", weights_only=True)
+# --- Log and agent --------------------------------------------------------------------------------
 
 
 def test_a_run_leaves_one_new_folder_and_nothing_else(script, runs, folder):
     assert [path.name for path in runs[script.name][0].iterdir()] == ["runs"]
     assert re.fullmatch(rf"{script.env_id}__{script.name}__\d{{8}}_\d{{6,}}", folder.name)
-    files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    seeds = {f"seed-{seed}/{name}.csv" for seed in script.seeds for name in TABLES}
-    checkpoints = {f"seed-{seed}/checkpoint.pt" for seed in script.seeds}
-    assert files == {"args.json", "learning_curve.png"} | seeds | checkpoints
+    files = {f"seed-{seed}.{suffix}" for seed in script.seeds for suffix in ("csv", "pt")}
+    assert {path.name for path in folder.iterdir()} == {"learning_curve.png", *files}
 
 
-def test_tables_have_their_columns_and_a_number_in_each(script, folder):
-    columns = {
-        "episodes": ["env_step", "return", "length"],
-        "metrics": ["env_step", *METRICS[script.name]],
-        "evals": ["env_step", "seconds", "return_mean", "return_std", "length_mean"],
-    }
-    for name, expected in columns.items():
-        data = pd.read_csv(folder / f"seed-3/{name}.csv")
-        assert sorted(data) == sorted(expected)
-        assert data.columns[0] == "env_step"
-        assert len(data) > 1
-        assert np.isfinite(data).all(axis=None)
-        assert data["env_step"].is_monotonic_increasing
-
-
-def test_evaluations_come_before_training_at_its_end_and_in_between(script, folder):
-    evals, updates = steps(folder / "seed-3", "evals"), steps(folder / "seed-3")
-    assert evals[0] == 0
-    assert evals[-1] == updates[-1] >= 512
-    assert set(evals) <= {0, *updates}
-    if script.name == "reinforce_mujoco":
-        assert 3 <= len(evals) <= 5
-    else:
-        assert evals == [0, 128, 256, 384, 512]
+def test_the_log_has_a_row_for_each_update_and_evaluations_from_first_to_last(script, folder):
+    log = pd.read_csv(folder / "seed-3.csv")
+    assert set(log) == {"env_step", "seconds", "return", "eval_return", *METRICS[script.name]}
+    assert log.columns[0] == "env_step"
+    assert log["env_step"].is_monotonic_increasing
+    assert log["seconds"].is_monotonic_increasing
+    assert 0 < log["seconds"].iloc[0] < log["seconds"].iloc[-1] < 100
+    assert np.isfinite(log.drop(columns=["return", "eval_return"])).all(axis=None)
+    assert np.isfinite(log["eval_return"].iloc[[0, -1]]).all()
+    assert log["env_step"].iloc[-1] >= 512 > log["env_step"].iloc[-2]
+    if script.name != "reinforce_mujoco":
+        assert log["env_step"].tolist() == [128, 256, 384, 512]
 
 
 @only("a2c_vector", "ppo_continuous")
-def test_an_evaluation_comes_at_the_first_update_that_reaches_its_step(script, tmp_path):
-    """Of 1000 steps and 30 evaluations, each is due after 33 or 34 more; an update is 10 steps."""
-    options = "--num-envs 2 --rollout-steps 5 --eval-episodes 1 --total-steps 1000 --num-evals 30"
-    folder = script.train(tmp_path, *options.split())
-    assert steps(folder, "evals") == [10 * math.ceil((1000 * k // 30) / 10) for k in range(31)]
+def test_evaluations_are_spread_evenly(script, tmp_path):
+    """The first after the first update, the last after the last, in all one more than asked for."""
+    options = "--num-envs 2 --rollout-steps 5 --eval-episodes 1 --total-steps 1000 --num-evals 4"
+    log = read_log(f"{script.train(tmp_path, *options.split())}.csv").dropna(subset="eval_return")
+    assert log["env_step"].tolist() == [10, 250, 500, 750, 1000]
 
 
-def test_seconds_are_those_of_training_alone(script, tmp_path, monkeypatch):
-    """Here each look at the clock takes a second, and an evaluation an hour."""
-    clock = itertools.count()
-    own_time = SimpleNamespace(perf_counter=lambda: float(next(clock)))
-    monkeypatch.setattr(script.module, "time", own_time)
-
-    def evaluate(*_):
-        for _ in range(3600):
-            next(clock)
-        return {"return_mean": 0.0}
-
-    monkeypatch.setattr(script.module, "evaluate", evaluate)
-    folder = script.train(tmp_path)
-    evals = pd.read_csv(folder / "evals.csv")
-    updates = [0, *steps(folder)]
-    assert evals["seconds"].tolist() == [1 + updates.index(step) for step in evals["env_step"]]
-
-
-def test_args_json_says_what_was_run(script, folder):
-    args = read_json(folder / "args.json")
-    assert (args["env_id"], args["seed"]) == (script.env_id, list(script.seeds))
-    options = ["--env-id", script.env_id, *script.small, "--seed", *map(str, script.seeds)]
-    assert args["command"] == [str(ROOT / script.file), *options]
-    engine = "Box2D" if script.name == "a2c_vector" else "mujoco"
-    assert list(args["versions"]) == ["torch", "gymnasium", engine, "numpy"]
-    assert args["versions"]["numpy"] == np.__version__
-    assert set(args) == {*vars(script.module.parse_args([])), "command", "versions"}
-
-
-def test_a_checkpoint_holds_the_options_the_tables_and_the_agent(script, folder):
-    checkpoint = load(folder / "seed-3")
-    optimizer = set() if script.name == "reinforce_mujoco" else {"optimizer"}
-    assert set(checkpoint) == {"args", "tables", "agent"} | optimizer
-    args = read_json(folder / "args.json")
-    assert {**args, **checkpoint["args"]} == {**args, "seed": [3]}
-    for name in TABLES:
-        written = pd.read_csv(folder / f"seed-3/{name}.csv")
-        pd.testing.assert_frame_equal(pd.DataFrame(checkpoint["tables"][name]), written)
+def test_the_agent_is_saved_with_all_options(script, folder):
+    saved = load(folder / "seed-3.pt")
+    options = vars(script.module.parse_args([]))
+    assert saved.keys() == {*options, "agent"}
+    assert (saved["env_id"], saved["seed"]) == (script.env_id, list(script.seeds))
 
 
 def test_a_run_prints_a_line_for_each_seed_and_no_warning(script, runs, folder):
     cwd, process = runs[script.name]
-    assert process.out.splitlines()[0] == str(folder.relative_to(cwd))
-    printed = results(process)
-    for seed, (name, row) in zip(script.seeds, printed.iterrows(), strict=True):
-        assert name == f"seed-{seed}"
-        last = pd.read_csv(folder / f"{name}/evals.csv").iloc[-1][list(row.index)]
-        pd.testing.assert_series_equal(row, last.round(1), check_names=False)
+    first, columns, _, *rows = process.out.splitlines()
+    assert first == str(folder.relative_to(cwd))
+    for seed, row in zip(script.seeds, rows, strict=True):
+        printed = dict(zip(["seed", *columns.split()], row.split()))
+        last = pd.read_csv(folder / f"seed-{seed}.csv").iloc[-1]
+        assert printed["seed"] == f"seed-{seed}"
+        assert float(printed["env_step"]) == last["env_step"]
+        assert float(printed["eval_return"]) == pytest.approx(last["eval_return"], rel=1e-4)
     assert "Warning" not in process.out + process.err
     assert "nan" not in (process.out + process.err).lower()
 
 
-def test_one_that_ends_early_keeps_what_was_saved_and_each_file_is_whole(
-        script, tmp_path, monkeypatch):
-    """A crash at each call that writes: afterwards all files are those of one evaluation."""
+def test_one_that_crashes_while_it_saves_keeps_what_was_saved_before(script, tmp_path, monkeypatch):
     class CrashError(Exception):
         pass
 
-    def crash_at(count, function):
-        calls = itertools.count(1)
+    def crash(*_):
+        raise CrashError
 
-        def crashing(*args, **kwargs):
-            if next(calls) == count:
-                raise CrashError
-            return function(*args, **kwargs)
-
-        return crashing
-
-    for owner, name, count in (pd.DataFrame, "to_csv", 6), (torch, "save", 3):
-        folder = tmp_path / name
+    path = script.train(tmp_path)
+    before = {file: Path(f"{path}.{file}").read_bytes() for file in ("csv", "pt")}
+    for owner, name in (pd.DataFrame, "to_csv"), (torch, "save"):
         with monkeypatch.context() as patch:
-            patch.setattr(owner, name, crash_at(count, getattr(owner, name)))
+            patch.setattr(owner, name, crash)
             with pytest.raises(CrashError):
-                script.train(folder)
-        seed = folder / "seed-3"
-        saved = load(seed)["tables"]["evals"]
-        assert len(saved) == 2
-        assert steps(seed, "evals") == [row["env_step"] for row in saved]
+                script.train(tmp_path, "--total-steps", 1000)
+        assert before == {file: Path(f"{path}.{file}").read_bytes() for file in before}
 
 
 ACT = """
-import json, sys
+import sys, types
 from importlib import import_module
-import gymnasium as gym, numpy as np, torch
-name, path, obs = sys.argv[1:]
+import numpy as np, torch
+name, path, obs, out = sys.argv[1:]
+saved = torch.load(path, weights_only=True)
 script = import_module(name)
-args = script.parse_args(["--watch", path])
-env = gym.make(args.env_id)
-agent = script.Agent(env.observation_space, env.action_space, args)
-agent.load_state_dict(torch.load(path, weights_only=True)["agent"])
+make = script.make_env if hasattr(script, "make_env") else script.make_envs
+envs = make(saved["env_id"], *[] if make.__name__ == "make_env" else (1, "NextStep", False)[:NUM])
+spaces = types.SimpleNamespace(
+    single_observation_space=getattr(envs, "single_observation_space", envs.observation_space),
+    single_action_space=getattr(envs, "single_action_space", envs.action_space))
+agent = script.Agent(spaces, saved["hidden_size"])
+agent.load_state_dict(saved["agent"])
 torch.manual_seed(0)
-print(json.dumps([agent.act(np.load(obs), x).tolist() for x in (True, False)]))
+np.save(out, np.stack([agent.act(np.load(obs), x) for x in (True, False)]))
 """
 
 
@@ -180,27 +120,251 @@ print(json.dumps([agent.act(np.load(obs), x).tolist() for x in (True, False)]))
 def test_a_new_process_acts_like_the_one_that_trained(name, tmp_path, monkeypatch):
     """And importing a script runs nothing: it prints and writes nothing."""
     script, agents = SCRIPTS[name], []
-
-    def remember(agent, envs, seed):
-        agents[:] = [agent]
-        return {"return_mean": 0.0}
-
-    monkeypatch.setattr(script.module, "evaluate", remember)
-    folder = script.train(tmp_path / "run")
-    obs = np.random.default_rng(0).normal(size=(100, 4))
+    monkeypatch.setattr(script.module, "evaluate", lambda agent, *_: agents.append(agent) or 0.0)
+    path = script.train(tmp_path / "run")
+    obs = np.random.default_rng(0).normal(size=(100, 4)).astype(np.float32)
     torch.manual_seed(0)
-    deterministic, sampled = (agents[0].act(obs, x).tolist() for x in (True, False))
-    assert deterministic != sampled
+    expected = np.stack([agents[-1].act(obs, x) for x in (True, False)])
+    assert not np.array_equal(*expected)
     np.save(tmp_path / "obs.npy", obs)
-    (tmp_path / "act.py").write_text(ACT)
+    (tmp_path / "act.py").write_text(ACT.replace("NUM", "3" if name == "a2c_vector" else "2"))
     (tmp_path / "empty").mkdir()
-    arguments = name, folder / "checkpoint.pt", tmp_path / "obs.npy"
+    arguments = name, f"{path}.pt", tmp_path / "obs.npy", tmp_path / "out.npy"
     process = run(tmp_path / "act.py", *arguments, cwd=tmp_path / "empty", PYTHONPATH=str(ROOT))
-    assert json.loads(process.out) == [deterministic, sampled]
-    assert process.err == ""
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npy"), expected)
+    assert process.out + process.err == ""
     assert not list((tmp_path / "empty").iterdir())
 
 
-def test_observations_may_be_whole_numbers(script, tmp_path):
-    folder = script.train(tmp_path, env_id=f"{script.worlds}Counts-v0")
-    assert table(folder / "evals.csv")["return_mean"].tolist()[-1] == 3
+# --- Seeds ----------------------------------------------------------------------------------------
+
+
+def test_seeds_in_parallel_equal_seeds_alone(script, folder, tmp_path):
+    alone = script.train(tmp_path)
+    third, other = (read_log(folder / f"seed-{seed}.csv") for seed in script.seeds)
+    pd.testing.assert_frame_equal(third, read_log(f"{alone}.csv"), check_exact=True)
+    assert not third.equals(other)
+
+
+def test_evaluations_do_not_touch_training(script, folder, tmp_path):
+    once = script.train(tmp_path, "--num-evals", 1, "--eval-episodes", 5)
+    logs = [read_log(x).drop(columns="eval_return")
+            for x in (f"{once}.csv", folder / "seed-3.csv")]
+    pd.testing.assert_frame_equal(*logs, check_exact=True)
+    weights = [load(x)["agent"] for x in (f"{once}.pt", folder / "seed-3.pt")]
+    torch.testing.assert_close(*weights, rtol=0, atol=0)
+
+
+BUG = """
+import gymnasium as gym
+from harness import World
+
+class Buggy(World):
+    def reward(self, action):
+        return 1 / (self.total < 40 or self.np_random_seed != {seed})
+
+gym.register("Buggy-v0", Buggy)
+"""
+
+
+@pytest.mark.parametrize("seeds", [[2], [1, 2]])
+def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
+    """It strikes in seed 2, after the first evaluation; the module lies where the user stands."""
+    (bad,) = ppo.make_seeds(2, stream=2, count=1)
+    (tmp_path / "here.py").write_text(BUG.format(seed=bad))
+    options = "--num-envs 4 --rollout-steps 32 --total-steps 1024 --eval-episodes 1 --num-evals 8"
+    arguments = "--env-id", "here:Buggy-v0", *options.split(), "--seed", *seeds
+    process = run("ppo_continuous.py", *arguments, cwd=tmp_path, status=1)
+    assert 'here.py", line 7, in reward' in process.err
+    assert process.err.rstrip().endswith("ZeroDivisionError: division by zero")
+    assert (run_folder(tmp_path) / "learning_curve.png").exists()
+    assert "seed-2" in process.out
+
+
+# --- Evaluation -----------------------------------------------------------------------------------
+
+
+class Patient(World):
+    """Never ends by itself, but does not wait for ever to be reset."""
+
+    def reward(self, action):
+        assert self.total < 100
+        return 1.0
+
+
+register("Patient", Patient, limit=8, length=None)
+
+
+def squashed_mean(agent, obs):
+    """tanh of μ(s), −1 at the lowest action and 1 at the highest."""
+    mean = agent.actor(agent.obs_stats.normalise(obs)).numpy()
+    return ACTIONS.low + (ACTIONS.high - ACTIONS.low) * (np.tanh(mean) + 1) / 2
+
+
+def likeliest(agent, obs):
+    return agent.actor(agent.obs_stats.normalise(obs)).argmax().item()
+
+
+def clipped_mean(agent, obs):
+    return agent.actor(obs)[:2].numpy().clip(ACTIONS.low, ACTIONS.high)
+
+
+CASES = {"ppo_continuous": ("harness:Uneven-v0", squashed_mean),
+         "a2c_vector": ("CartPole-v1", likeliest),
+         "reinforce_mujoco": ("harness:Uneven-v0", clipped_mean)}
+
+
+@torch.no_grad()
+def evaluate_by_hand(script, agent, seed):
+    """Six episodes, one after the other, in one environment."""
+    env_id, choose = CASES[script.name]
+    env, returns, lengths = gym.make(env_id), [], set()
+    for episode_seed in script.module.make_seeds(seed, stream=1, count=6):
+        obs, _ = env.reset(seed=episode_seed)
+        done, rewards = False, []
+        while not done:
+            obs, reward, terminated, truncated, _ = env.step(choose(agent, torch.tensor(obs)))
+            done = terminated or truncated
+            rewards.append(reward)
+        returns.append(sum(rewards))
+        lengths.add(len(rewards))
+    assert len(lengths) > 1
+    return np.mean(returns)
+
+
+def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
+    """Side by side, as if each were played by itself.
+
+    Some end sooner and run on, also with reward, but only the first episode counts.
+    """
+    envs = script.envs(CASES[script.name][0], 6)
+    agent = script.module.Agent(envs, 64)
+    agent.actor[-1].weight.data *= 100
+    if script.name != "reinforce_mujoco":
+        agent.obs_stats.update(3 * torch.randn(50, *envs.single_observation_space.shape) + 1)
+    expected = {seed: evaluate_by_hand(script, agent, seed) for seed in (7, 8)}
+    assert expected[7] != pytest.approx(expected[8], rel=0.001)
+    for seed in 7, 8, 7:  # with ever different noise, in environments that have been used
+        assert script.module.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
+
+
+@pytest.mark.parametrize(("name", "place", "length"), [
+    ("ThreeSteps", "harness", 3), ("Patient", "test_files", 8), ("BothEnds", "harness", 3)])
+def test_an_episode_ends_by_itself_or_by_its_time_limit(script, name, place, length):
+    """Reward 1 a step."""
+    envs = script.envs(script.world(name, place), 6)
+    assert script.module.evaluate(script.module.Agent(envs, 8), envs, seed=1) == length
+
+
+# --- Figure ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def panels(monkeypatch):
+    """What `plot` draws of a folder: its panels, by their y-axes."""
+    def draw(script, folder):
+        figures, save = [], Figure.savefig
+        with monkeypatch.context() as patch:
+            patch.setattr(Figure, "savefig", lambda figure, *x: figures.append(save(figure, *x)
+                                                                               or figure))
+            script.module.plot(folder)
+        return {panel.get_ylabel().split()[0]: panel for panel in figures.pop().axes}
+
+    return draw
+
+
+def test_the_figure_has_a_large_panel_of_returns_above_one_for_each_diagnostic(
+        script, folder, panels, capsys):
+    """And in each a line for each seed, as it stands in the logs."""
+    drawn = panels(script, folder)
+    assert set(drawn) == {"return", *METRICS[script.name]}
+    large, *small = (panel.get_position() for panel in drawn.values())
+    assert all(large.width * large.height > 5 * x.width * x.height for x in small)
+    for name, panel in drawn.items():
+        lines = [line.get_xydata() for line in panel.lines if len(line.get_xdata())]
+        expected = [pd.read_csv(folder / f"seed-{seed}.csv")[["env_step", column]].dropna()
+                    for column in ([name, "eval_return"] if name == "return" else [name])
+                    for seed in script.seeds]
+        for line, values in zip(lines, expected, strict=True):
+            np.testing.assert_allclose(line, values)
+    legend = [text.get_text() for text in drawn["return"].get_legend().get_texts()]
+    assert legend == [f"seed-{seed}" for seed in script.seeds]  # 3 before 11
+    with Image.open(folder / "learning_curve.png") as image:
+        assert image.size[0] >= 1000
+
+
+@only("a2c_vector", "ppo_continuous")
+@pytest.mark.filterwarnings("error")
+def test_targets_that_do_not_vary_do_not_spoil_the_figure(script, folder, panels, tmp_path, capsys):
+    log = pd.read_csv(folder / "seed-3.csv").assign(explained_variance=[0.5, -1e14, -np.inf, np.nan])
+    log["return"] = np.nan  # no episode has ended
+    log.to_csv(tmp_path / "seed-3.csv", index=False)
+    assert panels(script, tmp_path)["explained_variance"].get_ylim() == (-1, 1)
+
+
+# --- --watch --------------------------------------------------------------------------------------
+
+needs_egl = pytest.mark.skipif(
+    sys.platform != "linux" or not ctypes.util.find_library("EGL"), reason="no EGL here")
+
+
+@needs_egl
+@pytest.mark.slow
+def test_a_copy_of_a_script_watches_a_copied_agent(script, folder, tmp_path):
+    """There is no display, and nothing but the GIF is written, nothing but the return printed."""
+    shutil.copy(ROOT / script.file, tmp_path / "mine.py")
+    agent = Path(shutil.copy(folder / "seed-3.pt", tmp_path))
+    before = agent.read_bytes()
+    process = run(tmp_path / "mine.py", "--watch", "seed-3.pt", "--seed", 3, "--eval-episodes", 2,
+                  cwd=tmp_path, python=STRICT)
+    last = pd.read_csv(folder / "seed-3.csv").iloc[-1]  # the same starts, so the same return
+    words, value = process.out.split(":")
+    assert (words, process.err) == ("return", "")
+    assert float(value) == pytest.approx(last["eval_return"])
+    assert agent.read_bytes() == before
+    files = {"mine.py", "seed-3.pt", "seed-3.gif"}
+    assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == files
+    with Image.open(tmp_path / "seed-3.gif") as gif:
+        assert gif.n_frames > 1
+        assert min(gif.size) >= 400
+
+
+class NoMetadata(World):
+    metadata = {"render.modes": ["human"]}
+
+
+class BadRender(World):
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(self, render_mode=None, **kwargs):
+        super().__init__(**kwargs)
+        self.render_mode = render_mode
+
+    def render(self):
+        raise NotImplementedError("cannot be drawn")
+
+
+register("NoMetadata", NoMetadata)
+register("BadRender", BadRender)
+
+
+@pytest.mark.parametrize("name", ["NoMetadata", "BadRender"])
+def test_an_environment_that_cannot_be_drawn_still_gets_its_return(script, name, tmp_path):
+    path = script.train(tmp_path, env_id=script.world(name, "test_files"))
+    process = run(script.file, "--watch", f"{path}.pt", cwd=tmp_path, status=1)
+    assert float(process.out.removeprefix("return:")) == 3
+    assert "Traceback" not in process.err
+    assert not list(tmp_path.rglob("*.gif"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such shell")
+@pytest.mark.parametrize("closed", ["2>&-", "| true"])
+def test_a_closed_terminal_costs_no_file(closed, tmp_path):
+    """Standard error or output that nobody reads; also a ~ that the shell leaves as it is."""
+    script = SCRIPTS["ppo_continuous"]
+    options = " ".join([*script.small, "--env-id", script.world("ThreeSteps"), "--out-dir=~/deep"])
+    command = f"{sys.executable} {ROOT / script.file} {options} {closed}"
+    env = {**os.environ, "HOME": str(tmp_path), "PYTHONPATH": str(TESTS)}
+    subprocess.run(["sh", "-c", command], cwd=tmp_path, env=env, capture_output=True, timeout=100)
+    (folder,) = (tmp_path / "deep").iterdir()
+    assert {x.name for x in folder.iterdir()} == {"seed-1.csv", "seed-1.pt", "learning_curve.png"}

@@ -1,151 +1,97 @@
-"""Environments, and the rollouts of A2C and PPO: each row is a step that was really taken."""
+"""Environments as the scripts make them: rows are real transitions, and untidy ones work, too."""
 
-import math
+import random
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import only
+from conftest import SCRIPTS, only
 from gymnasium.spaces import Box
 from gymnasium.utils.seeding import np_random
-from harness import ACTIONS, World, register
+from harness import ACTIONS, Uneven, World, load, read_log, register, spy_rollouts, train
 
 import ppo_continuous as ppo
 
-UNEVEN, WIDE = "test_rollout:Uneven", "test_rollout:Wide"
-SIZES = "--num-envs 4 --rollout-steps 25 --total-steps 100"
-
+SIZES = ["--num-envs", 4, "--rollout-steps", 25, "--total-steps", 100]
 both = only("a2c_vector", "ppo_continuous")
 # Python 3.12 and later warn of a fork while threads run, such as that of tqdm.
 may_fork = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
 
-class Uneven(World):
-    """Episodes of 3 steps, of 7 if its first number is positive; the action is the reward."""
-
-    def reset(self, *, seed=None, options=None):
-        shown = super().reset(seed=seed, options=options)
-        self.length = 7 if self.episode > 0 else 3
-        return shown
-
-    def reward(self, action):
-        return float(action.sum())
+def make_envs(script, name, count=4, mode="Disabled"):
+    randomize = {"randomize": False} if script.name == "a2c_vector" else {}
+    return script.module.make_envs(script.world(name), count, mode, **randomize)
 
 
-class SameArray(Uneven):
-    """Returns one and the same array at every step, with new numbers in it."""
-
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.shown = np.zeros(2, np.float32)
-
-    def observe(self):
-        self.shown[:] = super().observe()
-        return self.shown
+def play(script, name):
+    envs = make_envs(script, name)
+    obs, _ = envs.reset(seed=script.module.make_seeds(1, 2, 4))
+    agent = script.module.Agent(envs, 64)
+    return envs, *script.module.rollout(envs, agent, obs, 25)
 
 
-class Wide(World):
-    """Shows float64, as the worlds of MuJoCo do."""
-
-    def observe(self):
-        return super().observe().astype(np.float64)
-
-
-register("Uneven", Uneven)
-register("SameArray", SameArray)
-register("Wide", Wide, observations=Box(-np.inf, np.inf, (2,), np.float64))
-register("Endless", length=None)
-register("LongLimit", length=None, limit=20_000)
-
-
-def make(script, world="harness:ThreeSteps", autoreset_mode="Disabled"):
-    """Arguments, environments and an agent for them; REINFORCE has one environment."""
-    module, (place, name) = script.module, world.split(":")
-    options = ["--env-id", f"{place}:{script.worlds}{name}-v0"]
-    one = script.name == "reinforce_mujoco"
-    args = module.parse_args(options if one else [*options, *SIZES.split()])
-    envs = module.make_envs(args.env_id, 1 if one else args.num_envs, autoreset_mode)
-    return args, envs, module.Agent(envs.single_observation_space, envs.single_action_space, args)
-
-
-def play(script, args, envs, agent):
-    """The first rollout; REINFORCE resets its environment itself."""
-    module, start = script.module, ()
-    if script.name != "reinforce_mujoco":
-        start = envs.reset(seed=module.make_seeds(1, 2, args.num_envs))[:1]
-    return module.rollout(envs, agent, *start, args, 0)
-
-
-# --- Rollouts -------------------------------------------------------------------------------------
+# --- Transitions ----------------------------------------------------------------------------------
 
 
 @both
-@pytest.mark.parametrize(
-    "world", ["harness:ThreeSteps", "harness:Forever", "harness:BothEnds", UNEVEN])
-def test_every_row_is_a_real_transition(script, world):
+@pytest.mark.parametrize("name", ["ThreeSteps", "Forever", "BothEnds", "Uneven"])
+def test_every_row_is_a_real_transition(script, name):
     """The world shows (episode, steps since its start): what each row must look like is known."""
-    args, envs, agent = make(script, world)
-    batch, last_obs, _ = play(script, args, envs, agent)
+    envs, batch, last_obs, returns = play(script, name)
     obs, next_obs, done = batch.obs, batch.next_obs, batch.done
-    length = torch.where(obs[..., 0] > 0, 7, 3) if world == UNEVEN else 3
-    length = 8 if world == "harness:Forever" else length
+    length = torch.where(obs[..., 0] > 0, 7, 3) if name == "Uneven" else 3
+    length = 8 if name == "Forever" else length
     assert (obs[0, :, 1] == 0).all()
     assert torch.equal(next_obs[..., 0], obs[..., 0])  # the same episode, also at its end
     assert torch.equal(next_obs[..., 1], obs[..., 1] + 1)
-    assert torch.equal(done, (next_obs[..., 1] == length).float())
-    by_itself = torch.zeros_like(done) if world == "harness:Forever" else done
-    assert torch.equal(batch.terminated, by_itself)
+    assert torch.equal(done, next_obs[..., 1] == length)
+    assert torch.equal(batch.terminated, torch.zeros_like(done) if name == "Forever" else done)
     shown = torch.cat([obs[1:], torch.tensor(last_obs)[None]])
-    assert torch.equal(shown[done == 0], next_obs[done == 0])
-    assert (shown[done == 1][:, 1] == 0).all()
-    assert (shown[done == 1] != next_obs[done == 1]).all()  # another episode
-    assert (batch.rewards == 1).all() or world == UNEVEN
+    assert torch.equal(shown[~done], next_obs[~done])
+    assert (shown[done][:, 1] == 0).all()
+    assert (shown[done] != next_obs[done]).all()  # another episode
+    assert (batch.rewards == 1).all() or name == "Uneven"
     for env in envs.unwrapped.envs:  # as many rows as steps, by its own count
         assert env.unwrapped.total == 25
-    actions = 25, 4, *envs.single_action_space.shape
-    shapes = {"obs": (25, 4, 2), "next_obs": (25, 4, 2), "actions": actions}
-    for name, x in vars(batch).items():
-        assert x.shape == shapes.get(name, (25, 4))
-        assert x.dtype == torch.float32
+    assert batch.actions.shape == (25, 4, *envs.single_action_space.shape)
+    ends = [batch.rewards[t + 1 - int(next_obs[t, n, 1]):t + 1, n].sum().item()
+            for t, n in done.nonzero().tolist()]
+    assert returns == pytest.approx(ends, rel=1e-5)  # in the order in which episodes ended
 
 
 @both
 def test_the_stored_actions_are_those_that_were_executed(script):
     """In this world the sum of an action is its reward; it refuses actions out of bounds."""
-    args, envs, agent = make(script, UNEVEN)
-    batch, _, _ = play(script, args, envs, agent)
-    executed = batch.actions
+    _, batch, *_ = play(script, "Uneven")
+    executed = batch.actions.double()
     if script.name == "ppo_continuous":
-        low, high = torch.as_tensor(ACTIONS.low), torch.as_tensor(ACTIONS.high)
-        executed = (low + (high - low) * (torch.tanh(batch.actions) + 1) / 2).sum(-1)
-    torch.testing.assert_close(batch.rewards, executed)
+        low, high = torch.tensor(ACTIONS.low), torch.tensor(ACTIONS.high)
+        executed = (low + (high - low) * (torch.tanh(batch.actions) + 1) / 2).sum(-1).double()
+    torch.testing.assert_close(batch.rewards, executed, rtol=1e-5, atol=1e-6)
     assert len(batch.rewards.unique()) == (3 if script.name == "a2c_vector" else 100)
 
 
 @both
-def test_environments_that_end_at_different_steps_have_their_own_returns(script):
-    args, envs, agent = make(script, UNEVEN)
-    batch, _, episodes = play(script, args, envs, agent)
-    expected = []
-    for t, n in batch.done.nonzero().tolist():
-        length = int(batch.next_obs[t, n, 1])
-        total = batch.rewards[t + 1 - length:t + 1, n].sum().item()
-        expected.append((4 * (t + 1), pytest.approx(total, rel=1e-5), length))
-    assert [tuple(row.values()) for row in episodes] == expected
-    assert {row["length"] for row in episodes} == {3, 7}
+def test_every_episode_counts_once_with_its_raw_return(script, monkeypatch):
+    """5 steps in 4 environments at a time: some episodes span two rollouts; NaN where none ends."""
+    log = train(monkeypatch, script.module, "--env-id", script.world("Forever"), "--num-envs", 4,
+                "--rollout-steps", 5, "--total-steps", 80)
+    assert log["env_step"].tolist() == [20, 40, 60, 80]
+    np.testing.assert_equal(log["return"].to_numpy(), [np.nan, 8, np.nan, 8])
 
 
-@both
-@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8)])
-def test_every_finished_episode_is_logged_once_with_raw_return(script, world, length, tmp_path):
-    """5 steps in 4 environments at a time: some episodes span two rollouts."""
-    options = "--rollout-steps", 5, "--total-steps", 80
-    folder = script.train(tmp_path, *options, env_id=script.world(world))
-    episodes = pd.read_csv(folder / "episodes.csv")
-    ends = [4 * step for step in range(length, 21, length) for _ in range(4)]
-    assert episodes["env_step"].tolist() == ends
-    assert (episodes[["return", "length"]] == length).all(axis=None)
+class SameArray(Uneven):
+    """Returns one and the same array at every step, with new numbers in it."""
+
+    def observe(self):
+        self.shown = vars(self).get("shown", np.zeros(2, np.float32))
+        self.shown[:] = super().observe()
+        return self.shown
+
+
+register("SameArray", SameArray)
 
 
 @may_fork
@@ -157,41 +103,23 @@ def test_every_finished_episode_is_logged_once_with_raw_return(script, world, le
     indirect=["script"])
 def test_environments_may_return_the_same_array_at_every_step(script, options, tmp_path):
     """Three updates with it end with the same weights, digit for digit, as with new arrays."""
-    agents = []
-    for world in "SameArray", "Uneven":
-        env_id = f"test_rollout:{script.worlds}{world}-v0"
-        folder = script.train(tmp_path / world, "--total-steps", 384, *options, env_id=env_id)
-        agents.append(torch.load(folder / "checkpoint.pt", weights_only=True)["agent"])
-    assert all(torch.equal(x, agents[1][name]) for name, x in agents[0].items())
+    one, other = (
+        load(script.train(tmp_path / name, "--total-steps", 384, *options,
+                          env_id=script.world(name, place)).with_suffix(".pt"))["agent"]
+        for name, place in (("SameArray", "test_rollout"), ("Uneven", "harness")))
+    torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
-# --- Environments ---------------------------------------------------------------------------------
+# --- Time limits and seeds ------------------------------------------------------------------------
 
-
-def test_seeds_are_all_different_and_always_the_same():
-    seeds = [
-        x for seed in range(10) for stream in range(10) for x in ppo.make_seeds(seed, stream, 16)]
-    assert len(set(seeds)) == len(seeds) == 1600
-    assert ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 9)[:5]
-
-
-@both
-@pytest.mark.parametrize("env_step", [0, 40])
-def test_each_environment_of_a_training_starts_with_a_seed_of_its_own(script, env_step):
-    """When it is resumed at step 40, with others than at step 0."""
-    args, envs, agent = make(script)
-    optimizer = script.module.make_optimizer(agent)
-    next(script.module.train(args, 5, envs, agent, optimizer, env_step))
-    seeds = script.module.make_seeds(5, 2 + env_step, 4)
-    expected = [np_random(seed)[0].uniform(-1, 1) for seed in seeds]
-    assert [env.unwrapped.episode for env in envs.unwrapped.envs] == expected
+register("Endless", length=None)
+register("LongLimit", length=None, limit=20_000)
 
 
 @pytest.mark.parametrize(
-    ("world", "steps"), [("harness:Forever", 8), ("test_rollout:Endless", 10_000),
-                         ("test_rollout:LongLimit", 20_000)])
-def test_an_episode_lasts_as_long_as_registered_and_10_000_steps_without_a_limit(world, steps):
-    envs = ppo.make_envs(f"{world}-v0", 1, "Disabled")
+    ("name", "steps"), [("Forever", 8), ("Endless", 10_000), ("LongLimit", 20_000)])
+def test_an_episode_lasts_as_long_as_registered_and_10_000_steps_without_a_limit(name, steps):
+    envs = ppo.make_envs(f"{name}-v0", 1, "Disabled")
     envs.reset(seed=1)
     action = envs.action_space.sample()
     ends = [envs.step(action)[2:4] for _ in range(steps)]
@@ -199,34 +127,212 @@ def test_an_episode_lasts_as_long_as_registered_and_10_000_steps_without_a_limit
     assert ends[-1] == (False, True)
 
 
+def test_seeds_are_all_different_small_enough_and_always_the_same():
+    seeds = [
+        x for seed in range(10) for stream in range(10) for x in ppo.make_seeds(seed, stream, 16)]
+    assert len(set(seeds)) == len(seeds) == 1600
+    assert min(seeds) >= 0
+    assert 2**30 < max(seeds) < 2**31
+    assert ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 5) == ppo.make_seeds(3, 1, 9)[:5]
+
+
+@both
+def test_each_environment_of_a_training_starts_with_a_seed_of_its_own(script, monkeypatch):
+    rollouts = spy_rollouts(monkeypatch, script.module)
+    train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"), *SIZES, "--seed", 5)
+    expected = [np_random(seed)[0].uniform(-1, 1) for seed in script.module.make_seeds(5, 2, 4)]
+    assert rollouts[0][1].obs[0, :, 0].tolist() == pytest.approx(expected)
+
+
+class Drawing(World):
+    """Adds to its observations what `draw` gives, which is not its own generator."""
+
+    def observe(self):
+        return super().observe() + np.float32([self.draw(), 0])
+
+
+def draw_with(name, draw):
+    register(name, type(name, (Drawing,), {"draw": draw}), observations=Box(-9, 9, (2,)))
+
+
+draw_with("Numpy", lambda self: np.random.uniform())
+draw_with("Python", lambda self: random.uniform(0, 1))
+draw_with("Torch", lambda self: torch.rand(()).item())
+draw_with("ObsSpace", lambda self: self.observation_space.sample()[0])
+draw_with("ActSpace", lambda self: np.sum(self.action_space.sample()))
+
+
+@pytest.mark.parametrize("name", ["Numpy", "Python", "Torch", "ObsSpace", "ActSpace"])
+def test_a_seed_gives_the_same_files_whatever_an_environment_draws_from(script, name, tmp_path):
+    def start(folder, seed):
+        return read_log(f"{script.train(folder, env_id=script.world(name), seed=seed)}.csv")
+
+    logs = [start(tmp_path / x, seed) for x, seed in (("one", 3), ("two", 3), ("three", 4))]
+    pd.testing.assert_frame_equal(logs[0], logs[1], check_exact=True)
+    assert not logs[0].equals(logs[2])
+
+
+class Picky(World):
+    """Wants options to be None, and a seed that fits into an int32."""
+
+    def reset(self, *, seed=None, options=None):
+        assert options is None
+        np.int32(seed or 0)
+        return super().reset(seed=seed)
+
+
+# --- Untidy environments --------------------------------------------------------------------------
+
+
+class Untidy(World):
+    """Says something else in `info` at every step."""
+
+    def info(self):
+        noise = [None, "fell", 3, np.zeros(self.steps), {"x": [1] * self.total}, object()]
+        keys = "goal", "episode", "return", "_return", "final_obs"
+        return {key: noise[(self.total + i) % 6] for i, key in enumerate(keys)}
+
+    def reset(self, **kwargs):
+        obs, _ = super().reset(**kwargs)
+        return obs, self.info()
+
+
+class Half(World):
+    def reward(self, action):
+        return np.float16(1)
+
+
+register("Picky", Picky)
+register("Untidy", Untidy)
+register("Half", Half, length=3000)
+register("Whole", type("Whole", (World,), {"observe": lambda self: np.array([self.steps, 7])}),
+         observations=Box(0, 9, (2,), np.int64))
+for prefix in "", "Discrete":
+    spec = gym.spec(f"{prefix}ThreeSteps-v0")
+    gym.register(f"{prefix}Recorded-v0", spec.entry_point, kwargs=spec.kwargs,
+                 additional_wrappers=(gym.wrappers.RecordEpisodeStatistics.wrapper_spec(),))
+for dtype in np.float16, np.float64:
+    actions = Box(ACTIONS.low.astype(dtype), ACTIONS.high.astype(dtype), dtype=dtype)
+    gym.register(f"Actions{np.dtype(dtype)}-v0", World, kwargs={"actions": actions})
+
+
+@may_fork
+@pytest.mark.parametrize("name", ["Untidy", "Recorded", "Picky", "Whole"])
+@pytest.mark.parametrize(
+    ("script", "options"),
+    [*((name, ()) for name in SCRIPTS), ("a2c_vector", ("--vectorization", "async"))],
+    indirect=["script"])
+def test_untidy_environments_train_like_tidy_ones(script, options, name, tmp_path):
+    log = read_log(f"{script.train(tmp_path, *options, env_id=script.world(name))}.csv")
+    assert (log[["return", "eval_return"]].dropna() == 3).all(axis=None)
+    assert len(log) >= 4
+
+
+@pytest.mark.parametrize("script", ["reinforce_mujoco", "ppo_continuous"], indirect=True)
+@pytest.mark.parametrize("dtype", ["float16", "float64"])
+def test_actions_come_in_the_dtype_of_their_space_and_within_its_bounds(script, dtype, tmp_path):
+    """The world checks that."""
+    script.train(tmp_path, env_id=f"Actions{dtype}-v0")
+
+
+def test_rewards_of_float16_add_up_exactly(script, tmp_path):
+    options = "--total-steps", 13_000, "--num-evals", 1, "--eval-episodes", 1
+    options += ("--batch-episodes", 1) if script.name == "reinforce_mujoco" else ()
+    log = read_log(f"{script.train(tmp_path, *options, env_id=script.world('Half'))}.csv")
+    assert (log[["return", "eval_return"]].stack().dropna() == 3000).all()
+
+
+class Sized(World):
+    """Rewards and observations of any size."""
+
+    def __init__(self, size=1.0, **kwargs):
+        super().__init__(**kwargs)
+        self.size = size
+
+    def observe(self):
+        return np.float32(self.size * super().observe())
+
+    def reward(self, action):
+        return self.size * (1 + self.episode)
+
+
+SIZED = {"Tiny": 1e-9, "Large": 1e19, "Huge": 1e30}
+for name, size in SIZED.items():
+    register(name, Sized, size=size)
+
+
+@both
+@pytest.mark.parametrize("name", SIZED)
+def test_observations_and_rewards_of_any_size_are_learned_from(script, name, tmp_path):
+    """A2C's user scales the rewards."""
+    options = ("--reward-scale", 1 / SIZED[name]) if script.name == "a2c_vector" else ()
+    path = script.train(tmp_path, *options, env_id=script.world(name))
+    agent = script.load_agent(path)
+    assert all(x.isfinite().all() for x in agent.state_dict().values())
+    apart = agent.obs_stats.normalise(SIZED[name] * torch.tensor([[-0.5, 0.0], [0.5, 2.0]]))
+    assert (apart[1] - apart[0] > 1).all()  # normalised, not all alike
+    assert read_log(f"{path}.csv")["value_loss"].between(1e-6, 1e6).all()
+
+
+def test_a_weight_that_is_not_finite_ends_a_training(script, monkeypatch):
+    optimise = script.module.optimise
+
+    def broken(agent, *rest):
+        metrics = optimise(agent, *rest)
+        agent.critic[0].weight.data[0, 0] = torch.nan
+        return metrics
+
+    monkeypatch.setattr(script.module, "optimise", broken)
+    with pytest.raises(ValueError, match="not finite"):
+        train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"),
+              "--total-steps", 30)
+
+
+@pytest.fixture
+def double_by_default():
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(torch.float32)
+
+
+def test_a_default_dtype_of_float64_does_not_matter(script, double_by_default, tmp_path):
+    path = script.train(tmp_path, env_id=script.world("ThreeSteps"))
+    agent = script.load_agent(path)
+    assert {p.dtype for p in agent.parameters()} == {torch.float32}
+
+
 PLACES = {  # a method of the world, its step in all, its step in the episode
     "reward": ("reward", 2, 2), "observation": ("observe", 2, 2),
     "last of an episode": ("observe", 3, 3), "first of the next": ("observe", 3, 0),
     "first of all": ("observe", 0, 0)}
-expected_warnings = pytest.mark.filterwarnings(
-    "ignore:overflow encountered in cast:RuntimeWarning",
-    "ignore:.*not within the observation space:UserWarning")
 
 
-def break_last(envs, what, total, steps, value):
-    """Add `value` to what the last world returns at its step `total`, `steps` into an episode."""
-    world = envs.unwrapped.envs[-1].unwrapped
-    healthy = getattr(world, what)
+class Broken(World):
+    """At its `place` it returns one number that is not finite, or not in float32."""
 
-    def faulty(*arguments):
-        result = healthy(*arguments)
-        broken = (world.total, world.steps) == (total, steps)
-        return result + value if broken else result
+    place, value = None, None
 
-    setattr(world, what, faulty)
+    def fault(self, what):
+        return self.value if self.place == (what, self.total, self.steps) else 0.0
+
+    def observe(self):
+        return super().observe().astype(np.float64) + self.fault("observe")
+
+    def reward(self, action):
+        return 1.0 + self.fault("reward")
 
 
-@expected_warnings
+register("Broken", Broken, observations=Box(-np.inf, np.inf, (2,), np.float64))
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning",
+                            "ignore:invalid value:RuntimeWarning",
+                            "ignore:.*not within the observation space:UserWarning")
 @pytest.mark.parametrize(("place", "value"), [
-    *((place, math.nan) for place in PLACES),
-    *((place, x) for place in ("reward", "observation") for x in (math.inf, -math.inf, 1e300))])
-def test_what_is_not_finite_in_float32_ends_a_training(script, place, value):
-    args, envs, agent = make(script, WIDE)
-    break_last(envs, *PLACES[place], value)
+    *((place, np.nan) for place in PLACES),
+    ("observation", -np.inf), ("reward", -np.inf), ("reward", 1e300)])
+def test_what_is_not_finite_ends_a_training(script, place, value, monkeypatch):
+    monkeypatch.setattr(Broken, "place", PLACES[place])
+    monkeypatch.setattr(Broken, "value", value)
     with pytest.raises(ValueError, match="infs or NaNs"):
-        play(script, args, envs, agent)
+        train(monkeypatch, script.module, "--env-id", script.world("Broken"), "--total-steps", 30)
