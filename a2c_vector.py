@@ -15,31 +15,29 @@ reward r and the next state, until the episode ends. We want a high *return*, th
 of an episode. Two neural networks learn:
 
     the actor   π(a|s)   which of a few actions to take, as probabilities
-    the critic  V(s)     what to expect from s on if π goes on: the mean of the *reward to go*
+    the critic  V(s)     what to expect from s on if we follow π: the mean *reward to go*
                          r_t + γ·r_{t+1} + γ²·r_{t+2} + …, in which later rewards count less (γ < 1)
 
-REINFORCE plays whole episodes, to see what followed each action. A2C [1] does not wait for the end:
-V stands in for the rewards still to come. One update:
+REINFORCE must finish an episode to see what followed each action. A2C, the synchronous form of A3C
+[1], need not: V stands in for the rewards still to come. One update:
 
   1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that what V has to predict is neither tiny nor huge.
   4. Estimate the advantages A (GAE [2]): how much better each action turned out than what π does on
-     average. A + V(s) are the targets, which V is to come closer to.
+     average. A + V(s) are the targets that V is trained on.
   5. Take one gradient step, on the whole rollout, on
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
-     It makes actions with A > 0 more likely and the others less likely. The entropy is high where π
-     is undecided; the bonus keeps π from settling on one action before it has tried the others.
+     It makes actions with A > 0 more likely, the others less. The entropy is high where π is
+     undecided; the bonus keeps π from settling on one action before it has tried the others.
   6. Update the statistics that normalise observations. Throw the rollout away, start again at 1.
 
-Why N environments? T steps in a row are much alike. N environments give N different stories, so the
-gradient is less noisy, and one call of the networks serves N states. With `--vectorization sync`
-this process steps them one after the other. With `async` each has a process of its own, which pays
-once a step takes longer than the messages: on two cores from about 0.1 ms on; a step here takes
-0.03 ms. With `--randomize` every episode has other physics (`RandomPhysics`).
+Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
+gradient is less noisy, and one call of the networks serves N states. `--vectorization sync` steps
+them in turn; `async` gives each its own process, which pays off for steps slower than about 0.1 ms
+(on two cores; a step here takes 0.03 ms). `--randomize` varies the physics (`RandomPhysics`).
 
-1, 3 and 6, standardised A, orthogonal initial weights, small ones in the actor's last layer
-and clipped gradients are details that help. (In A3C [1] each worker updates on its own; A2C waits.)
+Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are details that help.
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 In shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation.
@@ -105,7 +103,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # What varies by less than 1e-8 of its mean only varies by rounding; and never divide by 0.
+        # Spread below 1e-8 of the mean is mere rounding; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -123,9 +121,9 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear output layer, with orthogonal weights and zero biases.
+    """Two hidden layers and a linear one; orthogonal weights, zero biases.
 
-    The gain √2 is usual; a small one in the actor's last layer makes π start alike in every state.
+    The gain √2 is usual; a small one in the actor's last layer makes π start nearly uniform.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
@@ -151,10 +149,9 @@ class Transitions(NamedTuple):
 def rollout(envs, agent, obs, num_steps):
     """2. T steps of each environment, from observations `obs` (N, D) on.
 
-    `envs.step` takes N actions and returns arrays with a row for each environment (and `infos`, a
-    dictionary of arrays). Episodes end at different steps; `envs.reset` starts new ones where its
-    mask says so. The transition is stored before that, so `next_obs` is what really followed the
-    action, never the start of another episode, whose value would say nothing about this one.
+    `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
+    different steps; `envs.reset` restarts those in its mask, but only after the transition is
+    stored: so `next_obs` is what really followed the action, never the start of another episode.
 
     Returns Transitions, the observations to go on from, and the returns of episodes that ended.
     """
@@ -184,10 +181,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V were exact, every later δ would be 0 on average, and A_t right on average for every λ. As V
-    is an estimate, λ balances bias against variance. With λ = 0, A_t = δ_t relies on one reward and
-    on V: little noise, but all of V's error. With λ = 1 the values in between cancel; if n steps
-    are left, A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but n steps' luck.
+    If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
+    of V's error. With λ = 1 the values in between cancel and, n steps from the end of the sum,
+    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -209,12 +205,11 @@ def policy_loss(log_probs, advantages):
 
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
 
-    The bracket may be replaced by anything with the same mean, given s_t and a_t. A_t has nearly
-    that mean (it discounts, and relies on V) and far less noise:
-
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
 
-    The mean is over actions drawn from π as it is now, so a rollout serves for one step only.
+    as A_t has nearly the mean of the bracket, given s_t and a_t (it discounts and relies on V), and
+    far less noise. The mean in the loss only rescales the gradient. The actions must come from π as
+    it is now, so a rollout serves for one step only.
     """
     return -(advantages * log_probs).mean()
 
@@ -232,29 +227,27 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, 
     for network in agent.actor, agent.critic:  # clipping one must not shrink the other
         nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
-    return {"policy_loss": loss_pi.item(), "value_loss": loss_v.item(), "entropy": entropy.item()}
+    return {"value_loss": loss_v.item(), "entropy": entropy.item()}
 
 
 # --- Domain randomization -------------------------------------------------------------------------
 
 
 class RandomPhysics(gym.Wrapper):
-    """`--randomize`: every episode has another gravity, and every second one has wind [4].
+    """`--randomize`: each episode has its own gravity, and about half of them have wind [4].
 
-    Why: an agent is often meant for a world that we know only roughly, say a robot that is trained
-    in a simulator. So we maximise the mean over physics φ, too: E_φ[E[return | π, φ]]. π sees one
-    observation, which does not show φ, so it cannot adapt: one policy has to do for all moons. With
-    ten agents of each kind, `--watch AGENT.pt --eval-episodes 100`, with or without `--randomize`:
+    An agent is often meant for a world that we know only roughly, say a robot that is trained in a
+    simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
+    observe φ, so one policy has to do for all moons. Ten agents of each kind, mean ± std over them
+    of `--watch AGENT.pt --seed 99 --eval-episodes 100`, with or without `--randomize`:
 
         trained             usual moon    random moons
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
-    So here it only costs: these moons are alike enough for the usual agent. It pays where the world
-    may lie far from the simulator. For an environment of your own, draw its numbers here instead.
+    Here it does not pay: these moons are alike enough for the usual agent. It may where the world
+    lies far from the simulator. For an environment of your own, draw its numbers here instead.
     """
-
-    rng = np.random.default_rng()
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
@@ -307,7 +300,7 @@ def train(index, args, folder):
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are observations or rewards huge?")
-        # How well V predicted its targets: 1 is perfect, 0 no better than a constant.
+        # How well V predicted its targets: 1 is perfect, 0 is no better than a constant.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -372,6 +365,8 @@ def make_seeds(seed, stream, count):
 
 def make_envs(env_id, count, autoreset_mode, randomize, vectorization="sync", **kwargs):
     """`count` environments; those of autoreset mode "NextStep" reset themselves when done."""
+    if randomize and "LunarLander" not in env_id:
+        sys.exit("--randomize: knows the physics of LunarLander only")
     try:
         envs = gym.make_vec(
             env_id, num_envs=count, vectorization_mode=vectorization,
@@ -463,12 +458,9 @@ def main():
     args = parse_args()
     if args.watch:
         return watch(args)
-    if len(set(args.seed)) < len(args.seed):
-        sys.exit(f"--seed {args.seed}: each only once")
-    env = make_envs(args.env_id, 1, "Disabled", randomize=False)  # if it is wrong, ends here
-    if args.randomize and not hasattr(env.unwrapped.envs[0].unwrapped, "turbulence_power"):
-        sys.exit("--randomize: knows the physics of LunarLander only")
-    env.close()
+    if len(set(args.seed)) < len(args.seed) or (args.vectorization == "async" and args.seed[1:]):
+        sys.exit(f"--seed {args.seed}: each only once, and only one with async")
+    make_envs(args.env_id, 1, "Disabled", args.randomize).close()  # wrong ones end here
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     folder.mkdir(parents=True)

@@ -8,36 +8,35 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents side by side to balance a double pendulum on a cart. In a good run the return
-climbs within a minute or two from 60, which random actions earn, to 9,300; the most is 9,360.
+climbs within a minute or two from 50, which random actions earn, to 9,300; the most is 9,360.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
 reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
 of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take
-    the critic  V(s)                        what to expect from s on if π goes on: the mean of the
-                                            *reward to go*  r_t + γ·r_{t+1} + γ²·r_{t+2} + …,  where
-                                            γ < 1 makes later rewards count less
+    the critic  V(s)                        what to expect from s on if we follow π: the mean of
+                                            r_t + γ·r_{t+1} + γ²·r_{t+2} + …, with γ < 1
 
 The critic is there to judge actions. The advantage A of an action is what followed minus V(s): how
 much better it turned out than what π does on average. Actions with A > 0 become more likely, those
 with A < 0 less likely. A2C (advantage actor-critic) takes one gradient step on a rollout and throws
-it away. PPO [1] takes many, so it learns more from the same experience. But a rollout shows what
-π_old did, the policy that collected it, so π must stay near π_old while it learns. One update:
+it away. PPO [1] takes many, so it learns more from the same experience. But the rollout shows only
+what π_old, the policy that collected it, did, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
-  3. Scale the rewards, so that what V has to predict is of similar size in every task.
-  4. Estimate the advantages A (GAE [2]). A + V(s) are the targets, which V is to come closer to.
-  5. Go through the rollout several times, in minibatches. With each take a gradient step on
+  3. Scale the rewards, so that what V has to predict has a similar spread in every task.
+  4. Estimate the advantages A (GAE [2]). A + V(s) are the targets that V is trained on.
+  5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     and end the update as soon as π is too far from π_old: when KL(π_old ‖ π) > max_kl.
+     or, once KL(π_old ‖ π), estimated on the minibatch, is above max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6 and
-max_kl, standardised A, orthogonal initial weights, small ones in the actor's last layer, and tanh,
-which takes actions into their bounds. Others usually learn σ instead of annealing it, and add an
-entropy bonus, clipped gradients and a clipped value loss; these are left out here.
+Points 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6 and
+max_kl, standardised A, the initial weights, and tanh, which keeps actions in their bounds. Others
+usually learn σ instead of annealing it, and add an entropy bonus, clipped gradients and a clipped
+value loss; these are left out here.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -106,7 +105,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # What varies by less than 1e-8 of its mean only varies by rounding; and never divide by 0.
+        # Spread below 1e-8 of the mean is mere rounding; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -124,9 +123,9 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear output layer, with orthogonal weights and zero biases.
+    """Two hidden layers and a linear one; orthogonal weights, zero biases.
 
-    The gain √2 is usual; a small one in the actor's last layer makes π start alike in every state.
+    The gain √2 is usual; a small one in the actor's last layer makes π start alike in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
@@ -163,10 +162,9 @@ class Transitions(NamedTuple):
 def rollout(envs, agent, obs, num_steps):
     """2. T steps of each environment, from observations `obs` (N, D) on.
 
-    `envs.step` takes N actions and returns arrays with a row for each environment (and `infos`, a
-    dictionary of arrays). Episodes end at different steps; `envs.reset` starts new ones where its
-    mask says so. The transition is stored before that, so `next_obs` is what really followed the
-    action, never the start of another episode, whose value would say nothing about this one.
+    `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
+    different steps; `envs.reset` restarts those in its mask, but only after the transition is
+    stored: so `next_obs` is what really followed the action, never the start of another episode.
 
     Returns Transitions, the observations to go on from, and the returns of episodes that ended.
     """
@@ -190,8 +188,8 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
     V predicts a sum of later rewards, not known yet. F is a sum of past ones, which usually has a
-    similar spread; while it has none, rewards stay as they are. `past_rewards` (N,) is F before the
-    first row. Returns the scaled rewards, and F after the last row.
+    similar spread; while it has none, rewards stay as they are. `past_rewards` is F before the
+    first row, (N,) or 0. Returns the scaled rewards, and F after the last row.
     """
     sums = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -214,10 +212,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V were exact, every later δ would be 0 on average, and A_t right on average for every λ. As V
-    is an estimate, λ balances bias against variance. With λ = 0, A_t = δ_t relies on one reward and
-    on V: little noise, but all of V's error. With λ = 1 the values in between cancel; if n steps
-    are left, A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but n steps' luck.
+    If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
+    of V's error. With λ = 1 the values in between cancel and, n steps from the end of the sum,
+    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -228,22 +225,22 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    How much better does π act than π_old? In a state s, where π_old has a mean advantage of 0, by
+    How much better is π than π_old? A is measured against the average of π_old. So in a state s, by
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    Over whole episodes the gain in return is nearly the sum of these means over the states that
-    π_old meets, as long as π, which meets others, is near π_old (Kakade and Langford 2002). So we
-    raise E[ρ·A]. At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Further
-    on the estimate holds less and less, so a sample drops out of the gradient once ρ has gone far
-    enough in the direction that A asks for:
+    The gain in discounted return is nearly the sum of these means over the states that π_old meets,
+    as long as π, which meets others, is near π_old (Kakade and Langford 2002). So we raise E[ρ·A].
+    At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Away from it the
+    estimate gets worse, so a sample drops out once ρ has gone far enough in the direction that A
+    asks for:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
         A < 0       (1−ε)·A: no gradient   ρ·A: lower ρ       ρ·A: lower ρ
 
     Where ρ has gone the wrong way, the gradient stays, to lead it back. The clip alone does not
-    hold π: all samples share the weights, so others can still push ρ further out. Hence max_kl.
+    keep π near: all samples share the weights, so others can still push ρ out. Hence max_kl.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -254,28 +251,25 @@ def approximate_kl(log_ratio):
 
     E[ρ] = ∫ π_old·(π/π_old) da = 1, so adding ρ − 1 changes nothing on average. But now no term is
     below 0, as log ρ ≤ ρ − 1, and near ρ = 1 they vary much less: they are about ½·(log ρ)².
-
-    For two Gaussians with the same σ the KL is ½·Σ((μ − μ_old)/σ)². So while σ falls to a sixth,
-    the distance that μ may move before it reaches max_kl falls to a sixth, too.
+    For two Gaussians of the same σ it is ½·Σ((μ − μ_old)/σ)²: the smaller σ, the less μ may move.
     """
     return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
 
 
-def optimise(agent, optimizer, obs, actions, old_log_probs, advantages, targets,
-             epochs, minibatch_size, clip_eps, max_kl):
-    """5. On all T·N samples of a rollout. Returns metrics of the last minibatch."""
-    shuffled = torch.cat([torch.randperm(len(obs)) for _ in range(epochs)])  # all, in each epoch
-    for rows in shuffled.split(minibatch_size):
-        log_ratio = agent.policy(obs[rows]).log_prob(actions[rows]) - old_log_probs[rows]
+def optimise(agent, optimizer, samples, epochs, minibatch_size, clip_eps, max_kl):
+    """5. On all T·N samples: obs, actions, log π_old(a|s), A, targets. Returns the last metrics."""
+    shuffled = torch.cat([torch.randperm(len(samples[0])) for _ in range(epochs)])
+    for rows in shuffled.split(minibatch_size):  # each sample once an epoch
+        obs, actions, old_log_probs, A, targets = (x[rows] for x in samples)
+        log_ratio = agent.policy(obs).log_prob(actions) - old_log_probs
         ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
-        A = advantages[rows]
-        A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # now A > 0: better than the minibatch
+        A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # now A > 0: above the minibatch's mean
         loss_pi = policy_loss(ratio, A, clip_eps)
-        loss_v = ((agent.value(obs[rows]) - targets[rows]) ** 2).mean() / 2
+        loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
         if kl > max_kl:
             break
         optimizer.zero_grad()
-        (loss_pi + loss_v).backward()  # the networks share no weights
+        (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
         optimizer.step()
     clip_fraction = ((ratio - 1).abs() > clip_eps).float().mean()
     return {"value_loss": loss_v.item(), "kl": kl.item(), "clip_fraction": clip_fraction.item()}
@@ -295,7 +289,7 @@ def train(index, args, folder):
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
     agent = Agent(envs, args.hidden_size)
     optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
-    reward_stats, past_rewards = RunningStatistics(), torch.zeros(1)
+    reward_stats, past_rewards = RunningStatistics(), 0.0
     log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
     bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
     while env_step < args.total_steps:
@@ -317,14 +311,14 @@ def train(index, args, folder):
         targets = advantages + values
         # 5. Update actor and critic, on samples in no order: (T, N, …) -> (T·N, …).
         samples = batch.obs, batch.actions, old_log_probs, advantages, targets
-        metrics = optimise(agent, optimizer, *[x.flatten(0, 1) for x in samples],
+        metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
                            args.epochs, args.minibatch_size, args.clip_eps, args.max_kl)
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs.flatten(0, 1))
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are observations or rewards huge?")
-        # How well V predicted its targets: 1 is perfect, 0 no better than a constant.
+        # How well V predicted its targets: 1 is perfect, 0 is no better than a constant.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -359,7 +353,7 @@ def parse_args(argv=None):
     add("--gamma", type=in_range(float, 0, 1), default=0.99, help="discount factor")
     add("--gae-lambda", type=in_range(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=in_range(float, 0), default=0.2, help="clips the ratio at 1 +- this")
-    add("--max-kl", type=in_range(float, 0), default=0.03, help="KL at which an update ends")
+    add("--max-kl", type=in_range(float, 0), default=0.03, help="KL that ends the gradient steps")
     add("--first-std", type=in_range(float, 1e-4), default=0.6, help="sigma at first, before tanh")
     add("--last-std", type=in_range(float, 1e-4), default=0.1, help="sigma at last, before tanh")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
@@ -401,7 +395,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
-            and np.abs([space.low, space.high], dtype=float).max() < 1e30):  # larger ones mean no bound
+            and np.abs([space.low, space.high], dtype=float).max() < 1e30):
         envs.close()
         sys.exit(f"{env_id}: needs flat Boxes, actions of bounded floats; has {obs_space}, {space}")
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
@@ -446,13 +440,13 @@ def save(path, log, agent, args):
 
 def watch(args):
     """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     try:
         saved = torch.load(args.watch, weights_only=True)
         envs = make_envs(saved["env_id"], args.eval_episodes, "NextStep")
         agent = Agent(envs, saved["hidden_size"])
         agent.load_state_dict(saved["agent"])
         print("return:", evaluate(agent, envs, args.seed[0]))
+        os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
         film = make_envs(saved["env_id"], 1, "NextStep", render_mode="rgb_array_list")
         evaluate(agent, film, args.seed[0])
         imageio.imwrite(args.watch.with_suffix(".gif"), film.render()[0][::5], duration=50, loop=0)

@@ -91,9 +91,9 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear output layer, with orthogonal weights and zero biases.
+    """Two hidden layers and a linear one; orthogonal weights, zero biases.
 
-    The gain √2 is usual; a small one in the actor's last layer makes π start alike in every state.
+    The gain √2 is usual; a small one in the actor's last layer makes π start alike in all states.
     """
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
@@ -329,13 +329,13 @@ def save(path, log, agent, args):
 
 def watch(args):
     """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     try:
         saved = torch.load(args.watch, weights_only=True)
         envs = gym.vector.SyncVectorEnv([lambda: make_env(saved["env_id"])] * args.eval_episodes)
         agent = Agent(envs, saved["hidden_size"])
         agent.load_state_dict(saved["agent"])
         print("return:", evaluate(agent, envs, args.seed[0]))
+        os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
         film = gym.vector.SyncVectorEnv(
             [lambda: make_env(saved["env_id"], render_mode="rgb_array_list")])
         evaluate(agent, film, args.seed[0])
