@@ -7,11 +7,9 @@ import subprocess
 import sys
 
 import harness
-import numpy as np
-import pandas as pd
 import pytest
 import torch
-from benchmark import common
+from harness import read_log, spy_rollouts, train
 
 import ppo_continuous as ppo
 
@@ -25,7 +23,7 @@ seen, rollout, scale_rewards = [], ppo.rollout, ppo.scale_rewards
 def play(envs, agent, *rest):
     weights = {name: x.clone() for name, x in agent.state_dict().items()}
     result = rollout(envs, agent, *rest)
-    seen.append({"weights": weights, "batch": dict(vars(result[0]))})
+    seen.append({"weights": weights, "batch": result[0]._asdict()})
     return result
 
 def scale(rewards, *rest):
@@ -84,30 +82,25 @@ def test_each_process_has_noise_and_episodes_of_its_own_and_gets_all_transitions
 
 def test_the_first_update_is_that_of_one_process_with_all_environments(together, monkeypatch):
     *_, first, second = together
-    rollout = ppo.rollout
+    shares = iter(second)
 
-    def with_the_others(*args):
-        batch, obs, episodes = rollout(*args)
-        for name, other in second[0]["batch"].items():
-            setattr(batch, name, torch.cat([getattr(batch, name), other], 1))
-        return batch, obs, episodes
+    def with_the_others(agent, batch):
+        other = next(shares)["batch"]
+        return ppo.Transitions(
+            *[torch.cat([mine, other[name]], 1) for name, mine in batch._asdict().items()])
 
-    monkeypatch.setattr(ppo, "rollout", with_the_others)
-    args = ppo.parse_args([*SMALL, "--total-steps", "192"])
-    _, agent, updates = common.begin("ppo_continuous", args, seed=1)
-    next(updates)
-    next(updates)
-    # The weights there are those of the next rollout, for which σ has been annealed.
-    agent.std.fill_(2 / 3 * args.first_std + 1 / 3 * args.last_std)
-    for name, x in agent.state_dict().items():
-        assert torch.equal(x, first[1]["weights"][name]), name
+    rollouts = spy_rollouts(monkeypatch, ppo, with_the_others)
+    train(monkeypatch, ppo, *SMALL, "--total-steps", 192)
+    for name, x in rollouts[1][0].state_dict().items():
+        if name != "sigma":  # annealed by the time
+            assert torch.equal(x, first[1]["weights"][name]), name
 
 
 def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together):
     cwd, out, *_ = together
-    folder = harness.run_folder(cwd) / "seed-1"
+    folder = harness.run_folder(cwd)
     assert out.count("seed-1") == 1
-    assert pd.read_csv(folder / "metrics.csv")["env_step"].tolist() == [64, 128, 192]
-    episodes = pd.read_csv(folder / "episodes.csv")["env_step"]  # of one step each
-    assert sorted(episodes) == np.repeat(np.arange(4, 196, 4), 4).tolist()
-    assert pd.read_csv(folder / "evals.csv")["env_step"].tolist() == [0, 128, 192]
+    assert {x.name for x in folder.iterdir()} == {"seed-1.csv", "seed-1.pt", "learning_curve.png"}
+    log = read_log(folder / "seed-1.csv")
+    assert log["env_step"].tolist() == [64, 128, 192]
+    assert log["eval_return"].notna().iloc[[0, -1]].all()

@@ -1,0 +1,81 @@
+"""README and docs: commands and snippets run, options exist, links resolve."""
+
+import re
+import subprocess
+import sys
+
+import harness
+import pytest
+from conftest import SCRIPTS
+
+DOCUMENTS = [harness.ROOT / "README.md", *sorted((harness.ROOT / "docs").glob("*.md"))]
+TEXT = "\n".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
+BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
+SHELL = "\n".join(block for kind, block in BLOCKS if not kind)
+SHELL += "\n" + "\n".join(" ".join(x.split()) for x in re.findall(
+    r"`([^`]+)`", re.sub(r"^```.*?^```", "", TEXT, flags=re.DOTALL | re.MULTILINE)))
+# Without those whose paths only a user has.
+CALLS = sorted({
+    (file, options.strip()) for file, options in re.findall(
+        r"python (\w+\.py)((?: --[a-z-]+(?: [\w.:/-]+)*)*)", SHELL)
+    if file.removesuffix(".py") in SCRIPTS and not re.search("watch|help|SEED|--seed$", options)})
+SNIPPETS = [block for kind, block in BLOCKS if kind == "python"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A new folder, in which my_module.py lies."""
+    (module,) = [x for x in SNIPPETS if "class Push" in x]
+    (tmp_path / "my_module.py").write_text(module, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+@pytest.mark.parametrize(("file", "options"), CALLS)
+def test_every_call_of_a_script_trains(file, options, here, monkeypatch):
+    module = SCRIPTS[file.removesuffix(".py")].module
+    sizes = ["--total-steps", "64", "--eval-episodes", "1", "--num-evals", "1"]
+    args = module.parse_args([*options.split(), *sizes])
+    monkeypatch.setattr(module, "evaluate", lambda *_: 0.0)
+    module.train(0, args, here)
+    assert (here / f"seed-{args.seed[0]}.csv").exists()
+
+
+def test_there_are_calls_to_test():
+    assert len(CALLS) > 5
+
+
+def test_the_environment_of_your_own_is_checked_and_played(here):
+    out = subprocess.run([sys.executable, *harness.STRICT, "my_module.py"], check=True, text=True,
+                         capture_output=True).stdout
+    assert "return with random actions" in out
+
+
+@pytest.mark.parametrize("block", SNIPPETS)
+def test_every_snippet_compiles(block):
+    compile(re.sub(r"^[!%].*$", "", block, flags=re.MULTILINE), "snippet", "exec")
+
+
+def test_every_option_in_the_text_exists():
+    known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
+             "--array", "--cpus-per-task", "--time"}  # of diff, torchrun, SLURM
+    for script in SCRIPTS.values():
+        known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known
+
+
+def anchors(path):
+    """Of its headings, as the sites that show Markdown make them."""
+    headings = re.findall(r"^#+ (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", x.lower()).replace(" ", "-") for x in headings}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_inside_the_repository_resolve(document):
+    for link in re.findall(r"\]\(([^)\s]+)", document.read_text(encoding="utf-8")):
+        file, _, anchor = link.partition("#")
+        if "://" not in link:
+            path = (document.parent / file).resolve() if file else document
+            assert path.exists(), link
+            assert not anchor or anchor in anchors(path), link
