@@ -368,11 +368,9 @@ def make_envs(env_id, count, autoreset_mode, randomize, vectorization="sync", **
     if randomize and "LunarLander" not in env_id:
         sys.exit("--randomize: knows the physics of LunarLander only")
     try:
-        envs = gym.make_vec(
-            env_id, num_envs=count, vectorization_mode=vectorization,
-            vector_kwargs={"autoreset_mode": autoreset_mode},
-            wrappers=[lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
-                      Checked, *([RandomPhysics] if randomize else [])], **kwargs)
+        envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
+            lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
+            Checked, *([RandomPhysics] if randomize else [])], **kwargs)
     except (gym.error.Error, ImportError) as error:
         sys.exit(f"--env-id {env_id}: {error}")
     obs_space, space = envs.single_observation_space, envs.single_action_space

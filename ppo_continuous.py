@@ -18,11 +18,11 @@ of an episode. Two neural networks learn:
     the critic  V(s)                        what to expect from s on if we follow π: the mean of
                                             r_t + γ·r_{t+1} + γ²·r_{t+2} + …, with γ < 1
 
-The critic is there to judge actions. The advantage A of an action is what followed minus V(s): how
-much better it turned out than what π does on average. Actions with A > 0 become more likely, those
-with A < 0 less likely. A2C (advantage actor-critic) takes one gradient step on a rollout and throws
-it away. PPO [1] takes many, so it learns more from the same experience. But the rollout shows only
-what π_old, the policy that collected it, did, so π must stay near π_old. One update:
+The critic judges actions. The advantage A of an action is what followed minus V(s): how much better
+it turned out than what π does on average. Actions with A > 0 become more likely, those with A < 0
+less. A2C (advantage actor-critic) takes one gradient step on a rollout and throws it away. PPO [1]
+takes many, so it learns more from it. But the rollout shows only what π_old did, the policy that
+collected it, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
@@ -232,8 +232,7 @@ def policy_loss(ratio, advantages, clip_eps):
     The gain in discounted return is nearly the sum of these means over the states that π_old meets,
     as long as π, which meets others, is near π_old (Kakade and Langford 2002). So we raise E[ρ·A].
     At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Away from it the
-    estimate gets worse, so a sample drops out once ρ has gone far enough in the direction that A
-    asks for:
+    estimate gets worse, so a sample drops out once ρ has gone far enough the way A wants:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -271,8 +270,8 @@ def optimise(agent, optimizer, samples, epochs, minibatch_size, clip_eps, max_kl
         optimizer.zero_grad()
         (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
         optimizer.step()
-    clip_fraction = ((ratio - 1).abs() > clip_eps).float().mean()
-    return {"value_loss": loss_v.item(), "kl": kl.item(), "clip_fraction": clip_fraction.item()}
+    return {"value_loss": loss_v.item(), "kl": kl.item(),
+            "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -385,11 +384,9 @@ def make_seeds(seed, stream, count):
 def make_envs(env_id, count, autoreset_mode, **kwargs):
     """`count` environments; those of autoreset mode "NextStep" reset themselves when done."""
     try:
-        envs = gym.make_vec(
-            env_id, num_envs=count, vectorization_mode="sync",
-            vector_kwargs={"autoreset_mode": autoreset_mode},
-            wrappers=[lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
-                      Checked], **kwargs)
+        envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
+            lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
+            Checked], **kwargs)
     except (gym.error.Error, ImportError) as error:
         sys.exit(f"--env-id {env_id}: {error}")
     obs_space, space = envs.single_observation_space, envs.single_action_space
