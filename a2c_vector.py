@@ -103,12 +103,12 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # Spread below 1e-8 of the mean is mere rounding; the floor avoids dividing by 0.
+        # Spread below 1e-8 of the mean is neglected; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), whose weight w is their share of all rows so far.
+        """Merge in new `rows`, whose weight w is their share of all rows so far.
 
             mean ← (1−w)·mean + w·mean_new
             var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
@@ -300,7 +300,7 @@ def train(index, args, folder):
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are observations or rewards huge?")
-        # How well V predicted its targets: 1 is perfect, 0 is no better than a constant.
+        # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -419,12 +419,14 @@ def save(path, log, agent, args):
 
 
 def watch(args):
-    """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
+    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
     try:
         saved = torch.load(args.watch, weights_only=True)
         envs = make_envs(saved["env_id"], args.eval_episodes, "NextStep", args.randomize)
         agent = Agent(envs, saved["hidden_size"])
         agent.load_state_dict(saved["agent"])
+        for set_seed in np.random.seed, random.seed:  # environments may use these
+            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
         print("return:", evaluate(agent, envs, args.seed[0]))
         film = make_envs(
             saved["env_id"], 1, "NextStep", args.randomize, render_mode="rgb_array_list")

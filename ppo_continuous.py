@@ -105,12 +105,12 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # Spread below 1e-8 of the mean is mere rounding; the floor avoids dividing by 0.
+        # Spread below 1e-8 of the mean is neglected; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
     def update(self, rows):
-        """Merge in new `rows` (B, …), whose weight w is their share of all rows so far.
+        """Merge in new `rows`, whose weight w is their share of all rows so far.
 
             mean ← (1−w)·mean + w·mean_new
             var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
@@ -152,7 +152,7 @@ class Transitions(NamedTuple):
     """What happened in T steps of N environments."""
 
     obs: Tensor  # (T, N, D)
-    actions: Tensor  # (T, N, K), as drawn: not squashed
+    actions: Tensor  # (T, N, K), as drawn; `envs.step` squashes them
     rewards: Tensor  # (T, N)
     next_obs: Tensor  # (T, N, D): what followed the action, even if the episode ended there
     terminated: Tensor  # (T, N), bool: the episode ended for good, so no reward can follow
@@ -225,12 +225,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    How much better is π than π_old? A is measured against the average of π_old. So in a state s, by
+    How much better is π than π_old? A is measured against the average of π_old, so π gains on it
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    The gain in discounted return is nearly the sum of these means over the states that π_old meets,
-    as long as π, which meets others, is near π_old (Kakade and Langford 2002). So we raise E[ρ·A].
+    in a state. The gain in discounted return is nearly the γ^t-weighted sum of these over π_old's
+    states, as long as π, which meets others, is near (Kakade and Langford 2002). So raise E[ρ·A].
     At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Away from it the
     estimate gets worse, so a sample drops out once ρ has gone far enough the way A wants:
 
@@ -265,7 +265,7 @@ def optimise(agent, optimizer, samples, epochs, minibatch_size, clip_eps, max_kl
         A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # now A > 0: above the minibatch's mean
         loss_pi = policy_loss(ratio, A, clip_eps)
         loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
-        if kl > max_kl:
+        if kl > max_kl:  # not sooner, as the losses are logged
             break
         optimizer.zero_grad()
         (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
@@ -317,7 +317,7 @@ def train(index, args, folder):
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are observations or rewards huge?")
-        # How well V predicted its targets: 1 is perfect, 0 is no better than a constant.
+        # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -436,12 +436,14 @@ def save(path, log, agent, args):
 
 
 def watch(args):
-    """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
+    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
     try:
         saved = torch.load(args.watch, weights_only=True)
         envs = make_envs(saved["env_id"], args.eval_episodes, "NextStep")
         agent = Agent(envs, saved["hidden_size"])
         agent.load_state_dict(saved["agent"])
+        for set_seed in np.random.seed, random.seed:  # environments may use these
+            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
         print("return:", evaluate(agent, envs, args.seed[0]))
         os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
         film = make_envs(saved["env_id"], 1, "NextStep", render_mode="rgb_array_list")

@@ -8,7 +8,7 @@
     python reinforce_mujoco.py --seed 1 2 3
 
 trains three agents side by side to balance a pole on a cart. In a good run the return climbs within
-a minute from 5, which random actions earn, to 1000, the most that an episode can earn.
+a minute from below 10 (random actions earn 5) to 1000, the most that an episode can earn.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
@@ -34,7 +34,7 @@ learns by trial and error: actions followed by high rewards become more likely.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal initial weights, a standard deviation of at least 0.1 and, where a time limit cuts an
-episode off, V(s_T) in place of the rewards that would have followed [3], with every baseline.
+episode off, V(s_T) for the rewards that would have followed [3], whatever the baseline.
 Actions start with mean 0 and standard deviation 0.8, which suits bounds of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
@@ -166,11 +166,10 @@ def policy_loss(log_probs, advantages):
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
     Without a baseline, positive rewards push up every action that was tried; a bad one loses only
-    because others gain more, as probabilities sum to 1. With b ≈ V it is pushed down directly. The
-    gradient is then usually far less noisy.
+    because others gain more, as probabilities sum to 1. With b ≈ V it is pushed down: less noise.
 
     The loss has this gradient, with A constant, and a minus as optimisers descend, except that
-      - dividing by the steps of the batch changes the scale, a little differently in each batch;
+      - dividing by steps, not episodes, makes the gradient smaller, the longer the episodes;
       - γ < 1, and b = mean(G), which depends on a_t a little, accept some bias for less noise;
       - V(s_T) stands for rewards beyond the time limit, which the return lacks.
     """
@@ -328,12 +327,14 @@ def save(path, log, agent, args):
 
 
 def watch(args):
-    """Print the mean return of a saved agent, and film its first episode in a GIF beside it."""
+    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
     try:
         saved = torch.load(args.watch, weights_only=True)
         envs = gym.vector.SyncVectorEnv([lambda: make_env(saved["env_id"])] * args.eval_episodes)
         agent = Agent(envs, saved["hidden_size"])
         agent.load_state_dict(saved["agent"])
+        for set_seed in np.random.seed, random.seed:  # environments may use these
+            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
         print("return:", evaluate(agent, envs, args.seed[0]))
         os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
         film = gym.vector.SyncVectorEnv(
