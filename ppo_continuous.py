@@ -81,7 +81,8 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
         mean = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Independent(torch.distributions.Normal(mean, self.sigma), 1)
+        gaussians = torch.distributions.Normal(mean, self.sigma, validate_args=False)  # faster
+        return torch.distributions.Independent(gaussians, 1)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -316,7 +317,7 @@ def train(index, args, folder):
         agent.obs_stats.update(batch.obs.flatten(0, 1))
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: are observations or rewards huge?")
+            raise ValueError("a weight is not finite: were rewards or observations, are they huge?")
         # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
@@ -386,7 +387,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
     try:
         envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
             lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
-            Checked], **kwargs)
+            Tidy], **kwargs)
     except (gym.error.Error, ImportError) as error:
         sys.exit(f"--env-id {env_id}: {error}")
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -394,26 +395,28 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
             and np.abs([space.low, space.high], dtype=float).max() < 1e30):
         envs.close()
-        sys.exit(f"{env_id}: needs flat Boxes, actions of bounded floats; has {obs_space}, {space}")
+        message = f"{env_id}: needs flat Boxes, actions with bounds; has {obs_space}, {space}"
+        sys.exit(" ".join(message.split()))  # in one line
+    envs = gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # or ValueError
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
 
 
-class Checked(gym.Wrapper):
-    """NaN or infinity is a ValueError; the only `info` is the return, when an episode has ended."""
+class Tidy(gym.Wrapper):
+    """The only `info` is the return, when an episode has ended; it must be finite."""
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        obs, _ = self.env.reset(seed=seed, options=options or None)
-        return np.asarray_chkfinite(obs), {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += np.asarray_chkfinite(reward, np.float32).item()
-        info = {"return": self.total} if terminated or truncated else {}
-        return np.asarray_chkfinite(obs), reward, terminated, truncated, info
+        self.total += float(reward)
+        done = terminated or truncated
+        info = {"return": np.asarray_chkfinite(self.total).item()} if done else {}
+        return obs, reward, terminated, truncated, info
 
 
 def evaluate(agent, envs, seed):

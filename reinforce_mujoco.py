@@ -33,9 +33,8 @@ learns by trial and error: actions followed by high rewards become more likely.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
-orthogonal initial weights, a standard deviation of at least 0.1 and, where a time limit cuts an
-episode off, V(s_T) for the rewards that would have followed [3], whatever the baseline.
-Actions start with mean 0 and standard deviation 0.8, which suits bounds of the order of 1.
+orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
+order of 1) and, at a time limit, V(s_T) for the rewards that would have followed [3].
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -217,7 +216,7 @@ def train(index, args, folder):
         metrics = optimise(agent, optimizer, obs, actions, rewards_to_go, args.baseline)
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: are observations or rewards huge?")
+            raise ValueError("a weight is not finite: were rewards or observations, are they huge?")
         env_step += len(obs)
         bar.update(min(env_step, args.total_steps) - bar.n)
         log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
@@ -274,7 +273,7 @@ def make_seeds(seed, stream, count):
 
 
 def make_env(env_id, **kwargs):
-    """One environment, which clips actions to its bounds."""
+    """One environment, which clips actions to its bounds. NaN or infinity: ValueError."""
     try:
         env = gym.make(env_id, **kwargs)
     except (gym.error.Error, ImportError) as error:
@@ -283,28 +282,29 @@ def make_env(env_id, **kwargs):
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
         env.close()
-        sys.exit(f"{env_id}: needs flat Boxes, actions of floats, but has {obs_space}, {space}")
-    env = Checked(gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000))
+        sys.exit(" ".join(f"{env_id}: needs flat float Boxes; has {obs_space}, {space}".split()))
+    env = Tidy(gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000))
+    env = gym.wrappers.TransformObservation(env, np.asarray_chkfinite, obs_space)
     return gym.wrappers.TransformAction(
         env, lambda x: x.clip(space.low, space.high).astype(space.dtype), space)
 
 
-class Checked(gym.Wrapper):
-    """NaN or infinity is a ValueError; the only `info` is the return, when an episode has ended."""
+class Tidy(gym.Wrapper):
+    """The only `info` is the return, when an episode has ended; it must be finite."""
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        obs, _ = self.env.reset(seed=seed, options=options or None)
-        return np.asarray_chkfinite(obs), {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += np.asarray_chkfinite(reward, np.float32).item()
-        info = {"return": self.total} if terminated or truncated else {}
-        return np.asarray_chkfinite(obs), reward, terminated, truncated, info
+        self.total += float(reward)
+        done = terminated or truncated
+        info = {"return": np.asarray_chkfinite(self.total).item()} if done else {}
+        return obs, reward, terminated, truncated, info
 
 
 def evaluate(agent, envs, seed):

@@ -6,6 +6,7 @@ import shutil
 import sys
 
 import gymnasium as gym
+import numpy as np
 import pytest
 import torch
 from conftest import SCRIPTS, only
@@ -60,6 +61,7 @@ M = 3e38
 WRONG = {  # world: its spaces, the word that says what is wrong
     "DictObs": ({"observations": Dict(position=Box(-1, 1, (2,)))}, "Dict"),
     "Image": ({"observations": Box(0, 255, (8, 8, 3))}, r"\(8, 8, 3\)"),
+    "Matrix": ({"observations": Box(np.zeros((9, 9)), np.arange(1, 82.0).reshape(9, 9))}, "81"),
     "ManyActions": ({"actions": MultiDiscrete([2, 3])}, "MultiDiscrete"),
     "SquareActions": ({"actions": Box(-1, 1, (2, 2))}, r"\(2, 2\)"),
     "WholeActions": ({"actions": Box(0, 5, (1,), int)}, "int64"),
