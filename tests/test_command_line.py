@@ -5,7 +5,6 @@ import re
 import shutil
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import torch
@@ -158,14 +157,6 @@ def test_what_is_no_agent_of_this_script_is_refused(script, runs, folder, refusa
     saved = torch.load(folder / "seed-3.pt", weights_only=True)
     torch.save({**saved, "env_id": script.world("ThreeSteps")}, agent)  # fewer inputs
     assert "--watch" in refusal(script, "--watch", agent)
-
-
-def test_environments_without_render_mode_exist(script, tmp_path):
-    """So it is passed on only for a film."""
-    envs = script.envs(script.world("ThreeSteps"), 1)
-    assert envs.unwrapped.envs[0].unwrapped.render_mode is None
-    with pytest.raises(TypeError, match="render_mode"):
-        gym.make(script.world("ThreeSteps"), render_mode="rgb_array")
 
 
 def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, tmp_path):

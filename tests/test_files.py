@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 import torch
 from conftest import SCRIPTS, only
-from harness import ROOT, STRICT, Uneven, World, load, read_log, register, run, run_folder
+from harness import ROOT, STRICT, Uneven, load, read_log, register, run, run_folder
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -153,17 +153,6 @@ def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
 # --- Evaluation -----------------------------------------------------------------------------------
 
 
-class Patient(World):
-    """Never ends by itself, but does not wait for ever to be reset."""
-
-    def reward(self, action):
-        assert self.total < 100
-        return 1.0
-
-
-register("Patient", Patient, limit=8, length=None)
-
-
 def squashed_mean(agent, obs):
     """tanh of μ(s), −1 at the lowest action and 1 at the highest."""
     mean = agent.actor(agent.obs_stats.normalise(obs)).numpy()
@@ -216,14 +205,6 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
     assert expected[7] != pytest.approx(expected[8], rel=0.001)
     for seed in 7, 8, 7:  # with ever different noise, in environments that have been used
         assert script.module.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
-
-
-@pytest.mark.parametrize(("name", "place", "length"), [
-    ("ThreeSteps", "harness", 3), ("Patient", "test_files", 8), ("BothEnds", "harness", 3)])
-def test_an_episode_ends_by_itself_or_by_its_time_limit(script, name, place, length):
-    """Reward 1 a step."""
-    envs = script.envs(script.world(name, place), 6)
-    assert script.module.evaluate(script.module.Agent(envs, 8), envs, seed=1) == length
 
 
 # --- Figure ---------------------------------------------------------------------------------------
