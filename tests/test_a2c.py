@@ -131,9 +131,6 @@ def test_environments_in_processes_change_no_number(tmp_path, monkeypatch):
     torch.testing.assert_close(*weights, rtol=0, atol=0)
 
 
-# --- Learning -------------------------------------------------------------------------------------
-
-
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(tmp_path):
     path = SCRIPTS["a2c_vector"].train(
         tmp_path, "--gamma", 0.9, "--total-steps", 6400, "--num-envs", 8, "--rollout-steps", 8,
@@ -162,8 +159,6 @@ def test_it_learns_to_balance_a_pole(tmp_path):
         "--num-evals", 1, "--eval-episodes", 20, env_id="CartPole-v1")
     assert read_log(f"{path}.csv")["eval_return"].iloc[-1] > 200
 
-
-# --- Random physics -------------------------------------------------------------------------------
 
 LANDER = "LunarLander-v3"
 NAMES = "gravity", "wind_power", "turbulence_power"

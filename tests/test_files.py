@@ -28,9 +28,6 @@ METRICS = {
 }
 
 
-# --- Log and agent --------------------------------------------------------------------------------
-
-
 def test_a_run_leaves_one_new_folder_and_nothing_else(script, runs, folder):
     assert [path.name for path in runs[script.name][0].iterdir()] == ["runs"]
     assert re.fullmatch(rf"{script.env_id}__{script.name}__\d{{8}}_\d{{6,}}", folder.name)
@@ -105,9 +102,6 @@ def test_importing_a_script_runs_nothing(script, tmp_path):
     assert [x.name for x in tmp_path.iterdir()] == ["use.py"]
 
 
-# --- Seeds ----------------------------------------------------------------------------------------
-
-
 def test_seeds_in_parallel_equal_seeds_alone(script, folder, tmp_path):
     alone = script.train(tmp_path)
     third, other = (read_log(folder / f"seed-{seed}.csv") for seed in script.seeds)
@@ -148,9 +142,6 @@ def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
     assert "ZeroDivisionError: division by zero" in process.err
     assert (run_folder(tmp_path) / "learning_curve.png").exists()
     assert "seed-2" in process.out
-
-
-# --- Evaluation -----------------------------------------------------------------------------------
 
 
 def squashed_mean(agent, obs):
@@ -207,9 +198,6 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
         assert script.module.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
 
 
-# --- Figure ---------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def panels(monkeypatch):
     """What `plot` draws of a folder: its panels, by their y-axes."""
@@ -253,8 +241,6 @@ def test_targets_that_do_not_vary_do_not_spoil_the_figure(script, folder, panels
     log.to_csv(tmp_path / "seed-3.csv", index=False)
     assert panels(script, tmp_path)["explained_variance"].get_ylim() == (-1, 1)
 
-
-# --- --watch --------------------------------------------------------------------------------------
 
 needs_egl = pytest.mark.skipif(
     sys.platform != "linux" or not ctypes.util.find_library("EGL"), reason="no EGL here")

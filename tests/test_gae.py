@@ -6,8 +6,6 @@ import torch
 
 from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
 
-# --- Generalised advantage estimation -------------------------------------------------------------
-
 
 def random_batch(T=7, N=3):
     """Rewards, values, next values (T, N) and random flags: terminated, done."""
@@ -55,9 +53,6 @@ def test_the_last_row_of_a_rollout_and_a_rollout_of_one_step_learn():
     delta = rewards + 0.9 * next_values * ~terminated - values
     torch.testing.assert_close(compute_gae(*batch, 0.9, 0.95)[-1], delta[-1])
     torch.testing.assert_close(compute_gae(*(x[-1:] for x in batch), 0.9, 0.95), delta[-1:])
-
-
-# --- Running statistics ---------------------------------------------------------------------------
 
 
 def test_running_statistics_equal_those_of_numpy_over_unequal_chunks():

@@ -62,9 +62,6 @@ def find_rows(samples, obs):
     return [rows.index(x) for x in obs.tolist()]
 
 
-# --- Policy and losses ----------------------------------------------------------------------------
-
-
 def test_the_ratio_stays_1_while_the_policy_does(monkeypatch):
     """At learning rate 0, with the environments' own bounds far narrower than σ."""
     ratios = spy(monkeypatch, ppo, "policy_loss", lambda ratio, *_: ratio.detach())
@@ -122,9 +119,6 @@ def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
     standard_error = (log_ratio.exp() - 1 - log_ratio).std() / math.sqrt(len(log_ratio))
     assert abs(estimate - exact) < 4 * standard_error
     assert ppo.approximate_kl(torch.tensor(1e-4)).item() == pytest.approx(5e-9, rel=0.01)
-
-
-# --- An update ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("size", [34, 100])
@@ -210,9 +204,6 @@ def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step(monkeypatch):
     assert metrics["kl"] == pytest.approx(kls[-1], rel=1e-3)
 
 
-# --- Training -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8)])
 def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(world, length, monkeypatch):
     """Reward 1: F is 1, 1 + γ, 1 + γ + γ², …, and 1 again after the end or the time limit."""
@@ -233,9 +224,6 @@ def test_learning_rate_and_sigma_fall_in_a_straight_line(monkeypatch):
           "--first-std", 0.9, "--last-std", 0.2, "--total-steps", 350)
     np.testing.assert_allclose(found, [(7e-3, 0.9), (5e-3, 0.7), (3e-3, 0.5), (1e-3, 0.3)],
                                rtol=1e-5)
-
-
-# --- Learning -------------------------------------------------------------------------------------
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(monkeypatch):

@@ -45,9 +45,6 @@ def spy_episodes(monkeypatch):
     return kept
 
 
-# --- Rewards to go and advantages -----------------------------------------------------------------
-
-
 @pytest.mark.parametrize("last_value", [0.0, 7.5])
 @pytest.mark.parametrize("gamma", [0.0, 0.9, 1.0])
 def test_rewards_to_go_are_the_discounted_rewards_from_a_step_on(gamma, last_value):
@@ -56,9 +53,6 @@ def test_rewards_to_go_are_the_discounted_rewards_from_a_step_on(gamma, last_val
         sum(gamma ** (k - t) * rewards[k] for k in range(t, 30)) + gamma ** (30 - t) * last_value
         for t in range(30)]
     assert rf.sum_rewards(rewards, last_value, gamma).tolist() == pytest.approx(expected, rel=1e-5)
-
-
-# --- The gradient ---------------------------------------------------------------------------------
 
 
 @every_baseline
@@ -129,9 +123,6 @@ def test_on_a_bandit_the_mean_gradient_is_the_analytic_one(baseline):
         assert (analytic.abs() > 3 * standard_error).all()
 
 
-# --- Agent ----------------------------------------------------------------------------------------
-
-
 def test_mean_and_std_of_actions_are_the_two_halves_of_what_the_actor_says():
     _, agent = make()
     agent.actor[-1].weight.data *= 30
@@ -145,9 +136,6 @@ def test_mean_and_std_of_actions_are_the_two_halves_of_what_the_actor_says():
     noise = (torch.tensor(actions).view(2000, 50, 2) - mean) / std
     assert noise.mean(0).abs().max() < 5 / math.sqrt(2000)
     torch.testing.assert_close(noise.flatten(0, 1).T.cov(), torch.eye(2), rtol=0, atol=0.02)
-
-
-# --- Episodes -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("world", LENGTHS)
@@ -195,9 +183,6 @@ def test_the_learning_rate_falls_in_a_straight_line(monkeypatch):
                 "--learning-rate", 0.02)
     assert rates == pytest.approx([0.02, 0.02 * (1 - 12 / 30), 0.02 * (1 - 24 / 30)])
     assert log["env_step"].tolist() == [12, 24, 36]  # 4 episodes an update, until 30 are reached
-
-
-# --- Learning -------------------------------------------------------------------------------------
 
 
 @every_baseline

@@ -32,9 +32,6 @@ def play(script, name):
     return envs, *script.module.rollout(envs, agent, obs, 25)
 
 
-# --- Transitions ----------------------------------------------------------------------------------
-
-
 @both
 @pytest.mark.parametrize("name", ["ThreeSteps", "Forever", "BothEnds", "Uneven"])
 def test_every_row_is_a_real_transition(script, name):
@@ -110,8 +107,6 @@ def test_environments_may_return_the_same_array_at_every_step(script, options, t
     torch.testing.assert_close(one, other, rtol=0, atol=0)
 
 
-# --- Time limits and seeds ------------------------------------------------------------------------
-
 register("Endless", length=None)
 register("LongLimit", length=None, limit=20_000)
 
@@ -179,9 +174,6 @@ class Picky(World):
         assert options is None
         np.int32(seed or 0)
         return super().reset(seed=seed)
-
-
-# --- Untidy environments --------------------------------------------------------------------------
 
 
 class Untidy(World):
