@@ -1,0 +1,67 @@
+"""Changes to a script, one at a time, for the ablation and for exercises.
+
+    python tests/benchmark/variants.py                       lists them
+    python tests/benchmark/variants.py no-tanh > my_ppo.py   writes the changed script
+
+A change is a list of pairs (old text, new text); each old text occurs exactly once in the script.
+"""
+
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PPO = "ppo_continuous.py"
+FILL_SIGMA = (
+    "        agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)\n")
+STEP = """        (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
+"""
+
+CHANGES = {
+    "advantages-not-standardised": (PPO, [(
+        "        A = (A - A.mean()) / (A.std(correction=0) + 1e-8)"
+        "  # now A > 0: above the minibatch's mean\n", "")]),
+    "rewards-not-scaled": (PPO, [(
+        "return (rewards / stats.var.sqrt() if varies else rewards).float(), past_rewards",
+        "return rewards.float(), past_rewards")]),
+    "observations-not-normalised": (PPO, [(
+        "        agent.obs_stats.update(batch.obs.flatten(0, 1))\n", "")]),
+    "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
+                       "    share = (actions + 1) / 2\n")]),
+    "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
+    "weights-not-orthogonal": (PPO, [(
+        "        nn.init.orthogonal_(layer.weight, gain)\n",
+        "        nn.init.normal_(layer.weight, std=gain / layer.in_features**0.5)\n")]),
+    "learning-rate-constant": (PPO, [('["lr"] = remaining * args', '["lr"] = args')]),
+    "sigma-learned": (PPO, [
+        ('self.register_buffer("sigma", torch.ones(outputs, dtype=torch.float32))',
+         'self.log_sigma = nn.Parameter(torch.full((outputs,), 0.6).log())'),
+        ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"), (FILL_SIGMA, "")]),
+    "time-limits-as-deaths": (PPO, [(
+        "batch.terminated, batch.done, args.gamma", "batch.done, batch.done, args.gamma")]),
+    "gradients-clipped": (PPO, [(
+        STEP, f"{STEP}        nn.utils.clip_grad_norm_(agent.parameters(), 0.5)\n")]),
+    "another-reward": (PPO, [(
+        "        done = terminated | truncated\n",
+        "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n")]),
+    "fault-1": (PPO, [("policy.mean if deterministic else policy.sample()", "policy.mean")]),
+    "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
+    "fault-3": (PPO, [("return -torch.min(", "return torch.min(")]),
+}
+
+
+def change(name):
+    """The file of the script and its changed text. ValueError: a text does not occur just once."""
+    file, pairs = CHANGES[name]
+    text = (ROOT / file).read_text(encoding="utf-8")
+    for old, new in pairs:
+        if text.count(old) != 1:
+            raise ValueError(f"{name}: occurs {text.count(old)} times in {file}: {old!r}")
+        text = text.replace(old, new)
+    return file, text
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        sys.stdout.buffer.write(change(sys.argv[1])[1].encode())
+    else:
+        print(*CHANGES, sep="\n")
