@@ -33,11 +33,10 @@ REINFORCE must finish an episode to see what followed each action. A2C, the sync
   6. Update the statistics that normalise observations. Throw the rollout away, start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
-gradient is less noisy, and one call of the networks serves N states. `--vectorization sync` steps
-them in turn; `async` gives each its own process, which pays off for steps slower than about 0.1 ms
-(on two cores; a step here takes 0.03 ms). `--randomize` varies the physics (`RandomPhysics`).
-
-Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are details that help.
+gradient is less noisy, and one call of the networks serves N states. `--vectorization async` gives
+each its own process, which pays off for steps slower than about 0.1 ms (on two cores; a step here
+takes 0.03 ms). `--randomize` varies the physics (`RandomPhysics`). Points 1, 3 and 6, standardised
+A, the initial weights and clipped gradients are details that help.
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 In shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation.
@@ -122,12 +121,9 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear one; orthogonal weights, zero biases.
-
-    The gain √2 is usual; a small one in the actor's last layer makes π start nearly uniform.
-    """
+    """Two hidden layers, orthogonal weights; a small `last_gain` makes π start nearly uniform."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2]).float()
@@ -152,8 +148,7 @@ def rollout(envs, agent, obs, num_steps):
 
     `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
     different steps; `envs.reset` restarts those in its mask, but only after the transition is
-    stored: so `next_obs` is what really followed the action, never the start of another episode.
-
+    stored, so `next_obs` is what really followed the action, never the start of another episode.
     Returns Transitions, the observations to go on from, and the returns of episodes that ended.
     """
     steps, returns = [], []
@@ -205,7 +200,6 @@ def policy_loss(log_probs, advantages):
     (If all returns are near 200, every action is pushed up; now only the better ones are.)
 
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
-
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
 
     as A_t has nearly the mean of the bracket, given s_t and a_t (it discounts and relies on V), and
@@ -216,7 +210,7 @@ def policy_loss(log_probs, advantages):
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, max_grad_norm):
-    """5. On all B samples of a rollout. Returns metrics."""
+    """5. One gradient step on all B samples of a rollout. Returns metrics."""
     # Standardised, so that the actor's step does not depend on the size of the rewards.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
@@ -226,7 +220,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, 
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
     for network in agent.actor, agent.critic:  # clipping one must not shrink the other
-        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
+        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm, error_if_nonfinite=True)
     optimizer.step()
     return {"value_loss": loss_v.item(), "entropy": entropy.item()}
 
@@ -246,7 +240,7 @@ class RandomPhysics(gym.Wrapper):
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
-    Here it does not pay: on random moons the difference is noise. It may where the world is farther
+    Here it does not pay: on random moons the two are within the noise. It may where worlds are far
     from the simulator. For an environment of your own, draw its numbers here, and edit `make_envs`.
     """
 
@@ -300,7 +294,7 @@ def train(index, args, folder):
         agent.obs_stats.update(batch.obs.flatten(0, 1))
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: were rewards or observations, are they huge?")
+            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
         # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
@@ -326,7 +320,7 @@ def parse_args(argv=None):
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="and one after the first update")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async takes one seed")

@@ -33,10 +33,9 @@ collected it, so π must stay near π_old. One update:
      or, once KL(π_old ‖ π), estimated on the minibatch, is above max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Points 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6 and
-max_kl, standardised A, the initial weights, and tanh, which keeps actions in their bounds. Others
-usually learn σ instead of annealing it, and add an entropy bonus, clipped gradients and a clipped
-value loss; these are left out here.
+Points 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6, max_kl,
+standardised A, the initial weights, and tanh, which keeps actions in their bounds. Left out: a σ
+that is learned, an entropy bonus, clipped gradients and a clipped value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -124,12 +123,9 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear one; orthogonal weights, zero biases.
-
-    The gain √2 is usual; a small one in the actor's last layer makes π start alike in all states.
-    """
+    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
@@ -165,8 +161,7 @@ def rollout(envs, agent, obs, num_steps):
 
     `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
     different steps; `envs.reset` restarts those in its mask, but only after the transition is
-    stored: so `next_obs` is what really followed the action, never the start of another episode.
-
+    stored, so `next_obs` is what really followed the action, never the start of another episode.
     Returns Transitions, the observations to go on from, and the returns of episodes that ended.
     """
     steps, returns = [], []
@@ -317,7 +312,7 @@ def train(index, args, folder):
         agent.obs_stats.update(batch.obs.flatten(0, 1))
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: were rewards or observations, are they huge?")
+            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
         # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
@@ -343,7 +338,7 @@ def parse_args(argv=None):
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="and one after the first update")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=10, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=16, help="environments stepped together")
     add("--rollout-steps", type=in_range(int, 1), default=128, help="steps of each in a rollout")

@@ -90,12 +90,9 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers and a linear one; orthogonal weights, zero biases.
-
-    The gain √2 is usual; a small one in the actor's last layer makes π start alike in all states.
-    """
+    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
@@ -216,7 +213,7 @@ def train(index, args, folder):
         metrics = optimise(agent, optimizer, obs, actions, rewards_to_go, args.baseline)
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: were rewards or observations, are they huge?")
+            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
         env_step += len(obs)
         bar.update(min(env_step, args.total_steps) - bar.n)
         log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
@@ -240,7 +237,7 @@ def parse_args(argv=None):
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="and one after the first update")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--batch-episodes", type=in_range(int, 1), default=4, help="episodes of a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
