@@ -220,7 +220,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, 
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
     for network in agent.actor, agent.critic:  # clipping one must not shrink the other
-        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm, error_if_nonfinite=True)
+        nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
     return {"value_loss": loss_v.item(), "entropy": entropy.item()}
 
