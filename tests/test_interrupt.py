@@ -48,7 +48,9 @@ CASES = {  # script, options, and the files that show how far it has come
 def stop(case, cwd, send):
     """Start a run in `cwd`, stop it once it has left its files; returns the finished process."""
     script, options, file, count = CASES[case]
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored after a shell's `&`
     process = start(script, *options.split(), *LONG.split(), cwd=cwd, own_group=True)
+    signal.signal(signal.SIGINT, usual)
     deadline = time.monotonic() + 100
     while len(list(cwd.rglob(file))) < count:
         assert process.poll() is None, process.communicate()[1]

@@ -46,8 +46,11 @@ def main(folders):
         print("left out, as it has not ended:", name)
     settings = [values for _, values in last.groupby("setting")]
     if len(settings) == 2:
-        from scipy import stats
-        print(f"p = {stats.ttest_ind(*settings, equal_var=False).pvalue:.3g} (Welch's t-test)")
+        try:
+            from scipy import stats
+            print(f"p = {stats.ttest_ind(*settings, equal_var=False).pvalue:.3g} (Welch's t-test)")
+        except ImportError:
+            print("p: needs scipy (pip install scipy)")
     figure = Figure(figsize=(11, 7), layout="constrained")
     axes = figure.subplots()
     sns.lineplot(evals, x="env_step", y="eval_return", hue="setting", units="run", estimator=None,
