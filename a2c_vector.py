@@ -262,7 +262,7 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # environments may use these
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
         set_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(  # `rollout` resets them
         args.env_id, args.num_envs, "Disabled", args.randomize, args.vectorization)
@@ -374,7 +374,7 @@ def make_envs(env_id, count, autoreset_mode, randomize, vectorization="sync", **
         envs.close()
         message = f"{env_id}: needs a flat Box, Discrete actions from 0; has {obs_space}, {space}"
         sys.exit(" ".join(message.split()))  # in one line
-    return gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # or ValueError
+    return gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # NaN: ValueError
 
 
 class Tidy(gym.Wrapper):

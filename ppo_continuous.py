@@ -221,14 +221,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    How much better is π than π_old? A is measured against the average of π_old, so π gains on it
+    How much better is π than π_old? As A is measured against the average of π_old, π gains
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    in a state. The gain in discounted return is nearly the γ^t-weighted sum of these over π_old's
-    states, as long as π, which meets others, is near (Kakade and Langford 2002). So raise E[ρ·A].
-    At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Away from it the
-    estimate gets worse, so a sample drops out once ρ has gone far enough the way A wants:
+    in one state. The sum of these over the states that π_old meets, weighted by γ^t, is nearly the
+    gain in discounted return while π is near π_old (Kakade and Langford 2002). So raise E[ρ·A].
+    At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Farther away the
+    estimate gets worse, so a sample drops out once ρ has gone far enough in the direction of A:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -277,13 +277,13 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # environments may use these
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
         set_seed(make_seeds(seed, stream=0, count=1)[0])
     envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
     eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
     obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
     agent = Agent(envs, args.hidden_size)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
     reward_stats, past_rewards = RunningStatistics(), 0.0
     log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
     bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
@@ -392,7 +392,7 @@ def make_envs(env_id, count, autoreset_mode, **kwargs):
         envs.close()
         message = f"{env_id}: needs flat Boxes, actions with bounds; has {obs_space}, {space}"
         sys.exit(" ".join(message.split()))  # in one line
-    envs = gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # or ValueError
+    envs = gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # NaN: ValueError
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
 
 

@@ -192,13 +192,13 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # environments may use these
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
         set_seed(make_seeds(seed, stream=0, count=1)[0])
     env = make_env(args.env_id)
     eval_envs = gym.vector.SyncVectorEnv([lambda: make_env(args.env_id)] * args.eval_episodes)
     env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it again, without a seed
     agent = Agent(eval_envs, args.hidden_size)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # faster
+    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
     log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
     bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
     while env_step < args.total_steps:
