@@ -1,32 +1,64 @@
-"""The tools of tests/benchmark: changes that apply and run, and the table of many runs."""
+"""The tools of tests/benchmark: changes that apply, rows that are kept, tables that are up to date."""
 
-from importlib.util import module_from_spec, spec_from_file_location
+import sys
 
 import pandas as pd
 import pytest
-from benchmark import merge, variants
 from conftest import SCRIPTS
-from harness import train
+from harness import TESTS, train
+
+sys.path.append(str(TESTS / "benchmark"))
+import ablation
+import merge
+import report
+import study
+import variants
 
 
 @pytest.mark.parametrize("name", variants.CHANGES)
-def test_every_change_applies_and_trains(name, tmp_path, monkeypatch):
-    file, text = variants.change(name)
-    (tmp_path / file).write_text(text, encoding="utf-8")
-    spec = spec_from_file_location(f"changed_{name}", tmp_path / file)
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+def test_every_change_applies_and_trains(name, monkeypatch):
     world = "Forever" if name == "time-limits-as-deaths" else "Uneven"
-    log, usual = (train(monkeypatch, x, "--env-id", f"harness:{world}-v0", "--num-envs", 2,
+    changed, _ = study.load(study.Job(variants.CHANGES[name][0], change=name))
+    log, usual = (train(monkeypatch, module, "--env-id", f"harness:{world}-v0", "--num-envs", 2,
                         "--rollout-steps", 32, "--minibatch-size", 32, "--total-steps", 128)
-                  for x in (module, SCRIPTS["ppo_continuous"].module))
+                  for module in (changed, SCRIPTS["ppo_continuous"].module))
     assert not log.drop(columns="seconds").equals(usual.drop(columns="seconds"))
 
 
 def test_a_change_whose_text_is_gone_is_refused(monkeypatch):
     monkeypatch.setitem(variants.CHANGES, "gone", ("ppo_continuous.py", [("no such text", "")]))
     with pytest.raises(ValueError, match="gone: occurs 0 times"):
-        variants.change("gone")
+        variants.changed("ppo_continuous.py", "gone")
+
+
+def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
+    """A job of two is known; the other is measured, and its rows say where they come from."""
+    measured = []
+    monkeypatch.setattr(study, "DATA", tmp_path)
+    monkeypatch.setattr(study, "fresh", lambda function, *call: function(*call))
+    monkeypatch.setattr(sys, "argv", ["study.py"])
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
+    jobs = [study.Job("ppo_continuous.py", "--epochs 1", seed=seed) for seed in (1, 2)]
+    for known in jobs[:1], jobs:
+        study.main(known, lambda rows: {}, lambda job: measured.append(job) or [{"x": job.seed}])
+    assert measured == jobs
+    rows = study.read("small")
+    assert rows["x"].to_list() == [1, 2]
+    assert rows["commit"].str.len().min() > 6
+    assert rows["processor"].notna().all()
+
+
+def test_holms_correction():
+    """Of 0.01, 0.04, 0.03, 0.005 only those below 0.05/4, 0.05/3, until one is not (0.03 > 0.025)."""
+    assert ablation.holm([0.01, 0.04, 0.03, 0.005]).tolist() == [True, False, False, True]
+
+
+def test_all_tables_are_those_of_docs_data(monkeypatch):
+    pytest.importorskip("scipy")
+    monkeypatch.setattr(study, "save", lambda *_: None)
+    text = "".join(page.read_text("utf-8") for page in study.pages())
+    for name, table in report.tables().items():
+        assert f"<!-- {name} -->\n\n{table}\n" in text
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):

@@ -11,57 +11,48 @@ import sys
 from pathlib import Path
 
 import pandas as pd
-import seaborn as sns
+import study
 import torch
-from matplotlib.figure import Figure
 
 
 def read(folders):
-    """All logs, with a column for the setting; and the names of runs that have not ended."""
-    logs, options, unfinished = [], [], []
+    """All logs, with a column for the setting; runs that have not ended are named and left out."""
+    logs, options = [], []
     for file in sorted(file for folder in folders for file in Path(folder).glob("seed-*.csv")):
         log, saved = pd.read_csv(file), torch.load(file.with_suffix(".pt"), weights_only=True)
         if log["env_step"].iloc[-1] < saved["total_steps"]:
-            unfinished.append(str(file))
+            print("left out, as it has not ended:", file)
             continue
-        logs.append(log.assign(seed=file.stem, run=len(logs)))
-        script = file.parent.name.split("__")[1]
-        options.append({"script": script, **saved})
+        logs.append(log.assign(seed=f"{file.parent.name}/{file.stem}"))
+        options.append({"script": file.parent.name.split("__")[1], **saved})
     if not logs:
         sys.exit("merge.py: no finished run in these folders")
-    options = pd.DataFrame(options).drop(columns=["seed", "watch", "out_dir", "agent"])
-    differ = [name for name in options if options[name].astype(str).nunique() > 1]
-    settings = options[differ or ["script"]].astype(str).apply(
-        lambda row: ", ".join(f"{name} {value}" for name, value in row.items()), axis=1)
+    options = pd.DataFrame(options).drop(columns=["seed", "watch", "out_dir", "agent"]).astype(str)
+    differ = [name for name in options if options[name].nunique() > 1] or ["script"]
+    settings = [", ".join(f"{name} {value}" for name, value in row.items())
+                for row in options[differ].to_dict("records")]
     logs = [log.assign(setting=setting) for log, setting in zip(logs, settings)]
-    return pd.concat(logs, ignore_index=True), unfinished
+    return pd.concat(logs, ignore_index=True).dropna(subset="eval_return")
 
 
 def main(folders):
-    logs, unfinished = read(folders)
-    evals = logs.dropna(subset="eval_return")
-    last = evals.groupby(["setting", "run"])["eval_return"].last()
-    print(last.groupby("setting").agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
-    for name in unfinished:
-        print("left out, as it has not ended:", name)
-    settings = [values for _, values in last.groupby("setting")]
-    if len(settings) == 2:
+    logs = read(folders)
+    last = logs.groupby(["setting", "seed"])["eval_return"].last().groupby("setting")
+    print(last.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
+    if len(last) == 2:
         try:
             from scipy import stats
-            print(f"p = {stats.ttest_ind(*settings, equal_var=False).pvalue:.3g} (Welch's t-test)")
+            test = stats.ttest_ind(*(returns for _, returns in last), equal_var=False)
+            print(f"p = {test.pvalue:.3g} (Welch's t-test)")
         except ImportError:
             print("p: needs scipy (pip install scipy)")
-    figure = Figure(figsize=(11, 7), layout="constrained")
-    axes = figure.subplots()
-    sns.lineplot(evals, x="env_step", y="eval_return", hue="setting", units="run", estimator=None,
-                 alpha=0.3, legend=False, ax=axes)
-    step = evals["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
-    evals = evals.assign(env_step=(evals["env_step"] / step).round() * step)
-    sns.lineplot(evals, x="env_step", y="eval_return", hue="setting", errorbar=None, linewidth=3,
-                 ax=axes)
-    axes.set(ylabel="return in evaluation (thin: each seed, bold: mean)")
+    picture, (axis,) = study.figure(11, 7)
+    step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
+    logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
+    for color, (setting, rows) in enumerate(logs.groupby("setting")):
+        study.curves(rows, "env_step", axis, y="eval_return", label=setting, color=f"C{color}")
     path = Path(folders[0]).parent / "merged.png"
-    figure.savefig(path)
+    picture.savefig(path)
     print(path)
 
 

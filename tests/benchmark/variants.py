@@ -49,19 +49,19 @@ CHANGES = {
 }
 
 
-def change(name):
-    """The file of the script and its changed text. ValueError: a text does not occur just once."""
-    file, pairs = CHANGES[name]
+def changed(file, name=""):
+    """The text of a script with a change. ValueError: an old text does not occur just once."""
     text = (ROOT / file).read_text(encoding="utf-8")
-    for old, new in pairs:
+    for old, new in CHANGES[name][1] if name else []:
         if text.count(old) != 1:
             raise ValueError(f"{name}: occurs {text.count(old)} times in {file}: {old!r}")
         text = text.replace(old, new)
-    return file, text
+    return text
 
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        sys.stdout.buffer.write(change(sys.argv[1])[1].encode())
+        name = sys.argv[1]
+        sys.stdout.buffer.write(changed(CHANGES[name][0], name).encode())
     else:
         print(*CHANGES, sep="\n")

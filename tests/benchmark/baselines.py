@@ -1,0 +1,77 @@
+"""REINFORCE: what is a baseline for? Returns with each, and the noise that each leaves.
+
+The noise is the variance of the gradient, for the policy of a short run. Some ten minutes.
+"""
+
+import gymnasium as gym
+import numpy as np
+import study
+import torch
+from study import REINFORCE, Job
+
+BASELINES, EARLY = ("none", "mean", "value"), 30_000
+NOISE = "--baseline mean --total-steps 10000"  # the run for whose policy noise is measured
+JOBS = [Job(REINFORCE, options, seed=seed) for seed in range(71, 81)
+        for options in (NOISE, *(f"--baseline {name}" for name in BASELINES))]
+
+
+def measure(job):
+    rows, weights = study.train(job)
+    if job.options.startswith(NOISE):
+        module, args = study.load(job)
+        env = module.make_env(args.env_id)
+        env.reset(seed=job.seed)
+        agent = module.Agent(gym.vector.SyncVectorEnv([lambda: env]), args.hidden_size)
+        agent.load_state_dict(weights)
+        batches = [play(module, args, env, agent) for _ in range(350)]
+        fit_critic(agent, batches[300:])  # on batches of its own
+        for name in BASELINES:
+            gradients = [gradient(module, agent, name, *batch) for batch in batches[:300]]
+            rows[f"variance_{name}"] = torch.stack(gradients).double().var(0).sum().item()
+    return rows
+
+
+def play(module, args, env, agent):
+    """A batch: observations, actions, rewards to go."""
+    episodes = [module.play(env, agent) for _ in range(args.batch_episodes)]
+    obs, actions, rewards, last_values = zip(*episodes)
+    rewards_to_go = [module.sum_rewards(*x, args.gamma) for x in zip(rewards, last_values)]
+    return torch.cat(obs), torch.cat(actions), torch.cat(rewards_to_go)
+
+
+def fit_critic(agent, batches):
+    obs, _, rewards_to_go = map(torch.cat, zip(*batches))
+    optimizer = torch.optim.Adam(agent.critic.parameters(), 1e-2)
+    for _ in range(300):
+        optimizer.zero_grad()
+        ((agent.value(obs) - rewards_to_go) ** 2).mean().backward()
+        optimizer.step()
+
+
+def gradient(module, agent, baseline, obs, actions, rewards_to_go):
+    advantages = module.compute_advantages(rewards_to_go, agent.value(obs).detach(), baseline)
+    loss = module.policy_loss(agent.policy(obs).log_prob(actions), advantages)
+    return torch.cat([x.flatten() for x in torch.autograd.grad(loss, agent.actor.parameters())])
+
+
+def draw(rows):
+    noise = study.last(rows[rows["options"] == NOISE])
+    picture, panels = study.figure(11, 4, 1, 3)
+    lines = []
+    for axis, name in zip(panels, BASELINES):
+        x = rows[rows["options"] == f"--baseline {name}"]
+        runs = x.groupby("seed")
+        study.curves(x, "steps", axis, title=f"--baseline {name}", ylim=(0, 1050))
+        early = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
+        final = runs["return"].last()
+        lines.append([f"`{name}`",
+                      study.spread(noise[f"variance_{name}"] / noise["variance_none"], 2),
+                      study.spread(early), study.every(early), study.every(final)])
+    study.save(picture, "baselines")
+    return {"baselines": study.table(
+        ["`--baseline`", "variance, relative to `none`", f"return after {EARLY:,} steps",
+         "every seed", "at the end, every seed"], lines)}
+
+
+if __name__ == "__main__":
+    study.main(JOBS, draw, measure)

@@ -1,0 +1,78 @@
+"""stable-baselines3, with its defaults, with the settings of its zoo, and with our sizes.
+
+PPO's observations and rewards are normalised. The zoo's settings are those of its files
+hyperparams/ppo.yml and a2c.yml, as of 26 November 2026.
+"""
+
+import gymnasium as gym
+import study
+import torch
+from study import PPO, Job
+
+RELU = {"log_std_init": -2, "ortho_init": False, "activation_fn": torch.nn.ReLU,
+        "net_arch": {"pi": [256, 256], "vf": [256, 256]}}
+ZOO = {
+    "HalfCheetah-v5": {
+        "n_steps": 512, "batch_size": 64, "n_epochs": 20, "gamma": 0.98, "gae_lambda": 0.92,
+        "learning_rate": 2.0633e-05, "clip_range": 0.1, "ent_coef": 0.000401762,
+        "vf_coef": 0.58096, "max_grad_norm": 0.8, "policy_kwargs": RELU},
+    "Hopper-v5": {
+        "n_steps": 512, "batch_size": 32, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99,
+        "learning_rate": 9.80828e-05, "clip_range": 0.2, "ent_coef": 0.00229519,
+        "vf_coef": 0.835671, "max_grad_norm": 0.7, "policy_kwargs": RELU},
+    "Walker2d-v5": {
+        "n_steps": 512, "batch_size": 32, "n_epochs": 20, "gamma": 0.99, "gae_lambda": 0.95,
+        "learning_rate": 5.05041e-05, "clip_range": 0.1, "ent_coef": 0.000585045,
+        "vf_coef": 0.871923, "max_grad_norm": 1},
+    "LunarLander-v3": {"num_envs": 8, "n_steps": 5, "gamma": 0.995, "ent_coef": 1e-5,
+                       "learning_rate": lambda left: 8.3e-4 * left},
+}
+OUR_SIZES = {"num_envs": 16, "n_steps": 128, "batch_size": 512,
+             "learning_rate": lambda left: 1e-3 * left}
+
+
+def make(task, setting, seed, **settings):
+    """A model that has not learned yet: A2C on LunarLander, else PPO."""
+    import stable_baselines3 as sb3
+    from stable_baselines3.common import env_util, vec_env
+
+    torch.set_num_threads(1)  # as ours
+    lands = task == "LunarLander-v3"
+    our_sizes = {"num_envs": 8, "n_steps": 64} if lands else OUR_SIZES
+    settings |= {"defaults": {}, "zoo": ZOO[task], "our sizes": our_sizes}[setting]
+    # LunarLander would else simulate sparks, to draw them.
+    envs = env_util.make_vec_env(task, settings.pop("num_envs", 8 if lands else 1), seed,
+                                 env_kwargs={"render_mode": None})
+    if lands:
+        return sb3.A2C("MlpPolicy", envs, seed=seed, device="cpu", **settings)
+    envs = vec_env.VecNormalize(envs, gamma=settings.get("gamma", 0.99))
+    return sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu", **settings)
+
+
+class Agent:
+    """Looks like one of ours."""
+
+    def __init__(self, model):
+        self.model = model
+
+    def act(self, obs, deterministic):
+        envs = self.model.get_vec_normalize_env()
+        seen = envs.normalize_obs(obs) if envs else obs
+        return self.model.predict(seen, deterministic=deterministic)[0]
+
+
+def learn(job):
+    """A row for each of 51 evaluations of five episodes."""
+    ours, args = study.load(Job(PPO, job.options, seed=job.seed))
+    model, rows = make(args.env_id, job.change, job.seed), []
+    envs, agent = gym.make_vec(args.env_id, 5), Agent(model)
+
+    def evaluate(*_, last=False):
+        if last or model.num_timesteps >= len(rows) * args.total_steps / 50:
+            rows.append({"steps": model.num_timesteps,
+                         "return": ours.evaluate(agent, envs, job.seed)})
+        return True
+
+    model.learn(args.total_steps, callback=evaluate)
+    evaluate(last=True)
+    return rows
