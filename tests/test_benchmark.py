@@ -1,6 +1,7 @@
 """The tools of tests/benchmark: changes that apply, rows that are kept, tables that are up to date."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pandas as pd
 import pytest
@@ -35,7 +36,7 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
     """A job of two is known; the other is measured, and its rows say where they come from."""
     measured = []
     monkeypatch.setattr(study, "DATA", tmp_path)
-    monkeypatch.setattr(study, "fresh", lambda function, *call: function(*call))
+    monkeypatch.setattr(study, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     monkeypatch.setattr(sys, "argv", ["study.py"])
     monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
     jobs = [study.Job("ppo_continuous.py", "--epochs 1", seed=seed) for seed in (1, 2)]

@@ -1,20 +1,17 @@
-"""All tables and figures anew, from docs/data alone: python tests/benchmark/report.py
-
-Needs scipy. Trains nothing.
-"""
+"""All tables and figures anew, from docs/data alone. Trains nothing; needs scipy."""
 
 import importlib
 
 import study
 
-STUDIES = "returns", "ablation", "race", "speed", "baselines", "robustness", "exercises"
+STUDIES = "returns", "ablation", "race", "speed", "baselines", "robustness"
 
 
 def tables():
     """{name: table} of all studies; their figures are drawn."""
     found = {}
     for name in STUDIES:
-        found.update(importlib.import_module(name).draw(study.read(name)))
+        found |= importlib.import_module(name).draw(study.read(name))
     return found
 
 

@@ -56,8 +56,6 @@ def draw(rows):
         ten.append([task, study.spread(x["return"], digits), study.every(x["return"], digits),
                     study.spread(x["sampled"], digits), published(task, True, x["return"]),
                     published(task, False, x["return"]), number(x["seconds"].median() / 60, 1)])
-    picture.suptitle("Ten seeds and their mean. Published: dashed on the same version of the task, "
-                     "dotted on older ones")
     study.save(picture, "ppo_returns")
     for script in REINFORCE, A2C, PPO:
         _, args = study.load(Job(script))

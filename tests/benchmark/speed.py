@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pandas as pd
 import peers
-import seaborn as sns
 import study
 from study import A2C, PPO, REINFORCE, Job, number
 
@@ -19,31 +18,31 @@ TASKS = {"HalfCheetah-v5": PPO, "Hopper-v5": PPO, "Walker2d-v5": PPO, "LunarLand
 PEERS = {"stable-baselines3": ("defaults", {}), "eight environments": ("defaults", {"num_envs": 8}),
          "our sizes": ("our sizes", {}), "its zoo's settings": ("zoo", {})}  # for `peers.make`
 COUNTS, KINDS = (1, 2, 4, 8, 16, 32), {"sync": "one process", "async": "a process each"}
-JOBS = []
-for repetition in range(1, 6):
-    JOBS += [Job(script, f"--env-id {task} --total-steps 32768", seed=repetition)
-             for task, script in TASKS.items()]
-    JOBS += [Job(A2C, f"--num-envs {count} --vectorization {kind} --rollout-steps {512 // count} "
-                      "--total-steps 20480", seed=repetition)
-             for count in COUNTS for kind in KINDS]
+RACES = [(script, f"--env-id {task} --total-steps 32768") for task, script in TASKS.items()]
 
 
-def our_speed(job):
+def crowd(count, kind):
+    return (f"--num-envs {count} --vectorization {kind} --rollout-steps {512 // count} "
+            "--total-steps 20480")
+
+
+CROWDS = [(A2C, crowd(count, kind)) for count in COUNTS for kind in KINDS]
+JOBS = [Job(*x, seed=repetition) for repetition in range(1, 6) for x in RACES + CROWDS]
+
+
+def our_speed(module, args):
     """Of a training without evaluations."""
-    module, args = study.load(job)
     module.evaluate = lambda *_: 0.0
     with tempfile.TemporaryDirectory() as folder:
         module.train(0, args, Path(folder))
-        log = pd.read_csv(f"{folder}/seed-{job.seed}.csv")
+        log = pd.read_csv(f"{folder}/seed-{args.seed[0]}.csv")
     return log["env_step"].iloc[-1] / log["seconds"].iloc[-1]
 
 
-def stepping_speed(job):
+def stepping_speed(module, args, *others):
     """Of our environments without a learner, with actions drawn beforehand."""
-    module, args = study.load(job)
-    others = [False, args.vectorization] if job.script == A2C else []
     envs = module.make_envs(args.env_id, args.num_envs, "Disabled", *others)
-    envs.reset(seed=job.seed)
+    envs.reset(seed=1)
     actions = [envs.action_space.sample() for _ in range(args.total_steps // args.num_envs)]
     start = time.perf_counter()
     for action in actions:
@@ -56,44 +55,38 @@ def stepping_speed(job):
     return len(actions) * args.num_envs / seconds
 
 
+def peer_speed(args, setting, options):
+    model = peers.make(args.env_id, setting, args.seed[0], **options)
+    start = time.perf_counter()
+    model.learn(args.total_steps)
+    return model.num_timesteps / (time.perf_counter() - start)
+
+
 def measure(job):
-    speeds = {"ours": our_speed(job)}
-    if job.script != REINFORCE:
-        speeds["stepping alone"] = stepping_speed(job)
-    if job.script != REINFORCE and "--env-id" in job.options:
-        _, args = study.load(job)
-        for name, (setting, options) in PEERS.items():
-            model = peers.make(args.env_id, setting, job.seed, **options)
-            start = time.perf_counter()
-            model.learn(args.total_steps)
-            speeds[name] = model.num_timesteps / (time.perf_counter() - start)
+    module, args = study.load(job)
+    speeds = {"ours": our_speed(module, args)}
+    if job.script != REINFORCE and job[:2] in RACES:
+        speeds["stepping alone"] = stepping_speed(module, args, *[False] * (job.script == A2C))
+        speeds |= {name: peer_speed(args, *peer) for name, peer in PEERS.items()}
     return [{"learner": name, "speed": speed} for name, speed in speeds.items()]
 
 
 def draw(rows):
-    speeds = rows.pivot_table("speed", ["options", "seed"], "learner", sort=False)
-    lines, others = [], ["stepping alone", *PEERS]
-    for job in JOBS[:len(TASKS)]:
-        x = speeds.loc[job.options]
-        ratios = [(x["ours"] / x[name]).dropna() for name in others]
-        lines.append([f"`{job.script}`", job.options.split()[1], number(x["ours"].median()), *(
-            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if len(ratio) else ""
-            for ratio in ratios)])
-    header = ["script", "task", "steps a second", *(f"ratio to {name}" for name in others)]
-    x = rows[rows["options"].str.contains("--vectorization")]
-    words = x["options"].str.split()
-    x = x.assign(environments=words.str[1].astype(int), processes=words.str[3].map(KINDS))
-    x = x.groupby(["learner", "processes", "environments"])["speed"].median()
-    picture, panels = study.figure(11, 4, 1, 2)
-    for axis, learner in zip(panels, ("stepping alone", "ours")):
-        sns.lineplot(x[learner].reset_index(), x="environments", y="speed", hue="processes",
-                     style="processes", markers=True, ax=axis)
-        axis.set_xscale("log", base=2)
-        axis.set(title=learner, ylabel="steps a second", ylim=0, xticks=COUNTS, xticklabels=COUNTS)
-    study.save(picture, "scaling")
-    scaling = [[*names, *map(number, line)] for names, line in x.unstack().iterrows()]
+    speeds = rows.groupby(["options", "learner", "seed"])["speed"].first().unstack("learner")
+    lines = []
+    for script, options in RACES:
+        x = speeds.loc[options]
+        ratios = x["ours"] / x[["stepping alone", *PEERS]].T
+        lines.append([f"`{script}`", options.split()[1], number(x["ours"].median()), *(
+            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
+            for _, ratio in ratios.iterrows())])
+    header = ["script", "task", "steps a second", "ratio to stepping alone",
+              *(f"to {name}" for name in PEERS)]
+    ours = speeds.groupby("options")["ours"].median()
+    crowds = [[name, *(number(ours[crowd(count, kind)]) for count in COUNTS)]
+              for kind, name in KINDS.items()]
     return {"speed": study.table(header, lines),
-            "scaling": study.table(["steps a second", "environments in", *COUNTS], scaling)}
+            "scaling": study.table(["steps a second in", *COUNTS], crowds)}
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import re
 import subprocess
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -64,10 +64,6 @@ def train(job):
     return rows.join(log.groupby(period)[means].mean()), agent
 
 
-def rows_of_training(job):
-    return train(job)[0]
-
-
 def label(measure, job):
     """The rows of a job, which say where they come from."""
     folder = Path(__file__).parent if job.script == "peers.py" else ROOT
@@ -76,15 +72,9 @@ def label(measure, job):
     cpuinfo, processor = Path("/proc/cpuinfo"), platform.processor()
     if cpuinfo.exists():  # Linux says it there
         processor = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
-    rows = pd.DataFrame(measure(job))
+    rows = pd.DataFrame(measure(job) if measure else train(job)[0])
     origin = {**job._asdict(), "commit": commit, "processor": processor}
     return pd.DataFrame(origin, rows.index).join(rows)
-
-
-def fresh(*call):
-    """Call a function in a new process: it inherits neither threads nor caches."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-        return process.submit(*call).result()
 
 
 def read(name):
@@ -93,29 +83,29 @@ def read(name):
     return rows.fillna({"options": "", "change": ""})
 
 
-def main(jobs, draw, measure=rows_of_training, workers=None):
+def main(jobs, draw, measure=None, workers=None):
     """Measure the jobs that have no rows yet, each kept as soon as it is done; then draw."""
-    file = Path(sys.modules["__main__"].__file__)
-    parser = argparse.ArgumentParser(description=sys.modules["__main__"].__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    study = sys.modules["__main__"]
+    parser = argparse.ArgumentParser(description=study.__doc__)
     parser.add_argument("--quick", action="store_true", help="try one tiny job, keep nothing")
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
     if parser.parse_args().quick:
         job = jobs[0]._replace(options=f"{jobs[0].options} --total-steps 256 --num-evals 1")
-        return print(fresh(label, measure, job).to_string())
-    rows = read(file.stem)
+        return print(label(measure, job).to_string())
+    name = Path(study.__file__).stem
+    rows = read(name)
     done = set(rows[[*Job._fields]].itertuples(index=False, name=None))
     lacking = [job for job in jobs if job not in done]
-    with ThreadPoolExecutor(workers or os.cpu_count()) as threads:
-        futures = [threads.submit(fresh, label, measure, job) for job in lacking]
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as processes:
+        futures = [processes.submit(label, measure, job) for job in lacking]
         try:
-            for future in tqdm(as_completed(futures), desc=file.stem, total=len(futures)):
+            for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
                 rows = pd.concat([rows, future.result()] if len(rows) else [future.result()])
                 rows = rows.sort_values([*Job._fields], kind="stable")
-                rows.to_csv(DATA / f"{file.stem}.csv", index=False, float_format="%.6g")
+                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
         finally:  # after Ctrl-C, too
-            threads.shutdown(cancel_futures=True)
-    put(draw(read(file.stem)))
+            processes.shutdown(cancel_futures=True)
+    put(draw(read(name)))
 
 
 # --- Tables, statistics, figures ------------------------------------------------------------------

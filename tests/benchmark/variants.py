@@ -11,10 +11,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PPO = "ppo_continuous.py"
-FILL_SIGMA = (
-    "        agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)\n")
-STEP = """        (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
-"""
 
 CHANGES = {
     "advantages-not-standardised": (PPO, [(
@@ -28,18 +24,15 @@ CHANGES = {
     "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
                        "    share = (actions + 1) / 2\n")]),
     "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
-    "weights-not-orthogonal": (PPO, [(
-        "        nn.init.orthogonal_(layer.weight, gain)\n",
-        "        nn.init.normal_(layer.weight, std=gain / layer.in_features**0.5)\n")]),
     "learning-rate-constant": (PPO, [('["lr"] = remaining * args', '["lr"] = args')]),
     "sigma-learned": (PPO, [
         ('self.register_buffer("sigma", torch.ones(outputs, dtype=torch.float32))',
          'self.log_sigma = nn.Parameter(torch.full((outputs,), 0.6).log())'),
-        ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"), (FILL_SIGMA, "")]),
+        ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
+        ("        agent.sigma.fill_(remaining * args.first_std + "
+         "(1 - remaining) * args.last_std)\n", "")]),
     "time-limits-as-deaths": (PPO, [(
         "batch.terminated, batch.done, args.gamma", "batch.done, batch.done, args.gamma")]),
-    "gradients-clipped": (PPO, [(
-        STEP, f"{STEP}        nn.utils.clip_grad_norm_(agent.parameters(), 0.5)\n")]),
     "another-reward": (PPO, [(
         "        done = terminated | truncated\n",
         "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n")]),
