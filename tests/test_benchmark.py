@@ -1,4 +1,4 @@
-"""The tools of tests/benchmark: changes that apply, rows that are kept, tables that are up to date."""
+"""The tools of tests/benchmark: changes, rows, tables."""
 
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -50,7 +50,7 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
 
 
 def test_holms_correction():
-    """Of 0.01, 0.04, 0.03, 0.005 only those below 0.05/4, 0.05/3, until one is not (0.03 > 0.025)."""
+    """In order: 0.005 < 0.05/4, 0.01 < 0.05/3, but 0.03 > 0.05/2, so 0.04 < 0.05/1 is too late."""
     assert ablation.holm([0.01, 0.04, 0.03, 0.005]).tolist() == [True, False, False, True]
 
 

@@ -47,7 +47,7 @@ def effects(rows):
     """For each change: returns, and what the seeds gain in percent of the mean without it."""
     from scipy import stats
 
-    found, rows = [], rows.groupby([*Job._fields])
+    found, rows = [], rows.groupby(study.KEYS)
     returns, means = rows["return"].last().unstack(), rows[["kl", "explained_variance"]].mean()
     for table in TABLES:
         usual = returns.loc[job(table)[:3]]

@@ -8,8 +8,9 @@ import gymnasium as gym
 import study
 from study import A2C, PPO, REINFORCE, Job, number
 
-PUBLISHED = study.read("published")  # the highest mean for PPO after at most a million steps
-TASKS = sorted(set(PUBLISHED["task"]))
+# The highest mean for PPO after at most a million steps.
+PUBLISHED = study.read("published").set_index(["task", "same_version"])
+TASKS = sorted(set(PUBLISHED.index.get_level_values("task")))
 MILLION, HUNDRED = "--total-steps 1e6", "--num-evals 1 --eval-episodes 100"
 SETTINGS = {  # options for other tasks: five seeds
     "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512":
@@ -25,21 +26,18 @@ JOBS = [
 ]
 
 
-def published(task, same_version, ours):
+def published(key, ours):
     """As text, with p of Welch's test against ours if the spread is known."""
     from scipy import stats
 
-    found = []
-    x = PUBLISHED[(PUBLISHED["task"] == task) & (PUBLISHED["same_version"] == same_version)]
-    for _, _, mean, std, seeds, source in x.itertuples(index=False):
-        digits = 0 if mean % 1 == 0 else 1
-        if std > 0:
-            p = stats.ttest_ind_from_stats(
-                ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False).pvalue
-            found.append(f"{number(mean)} ± {number(std)} {source}, p = {p:.2g}")
-        else:
-            found.append(f"{number(mean, digits)} {source}")
-    return "".join(found)
+    if key not in PUBLISHED.index:
+        return ""
+    mean, std, seeds, source = PUBLISHED.loc[key]
+    if not std > 0:
+        return f"{number(mean, 0 if mean % 1 == 0 else 1)} {source}"
+    test = stats.ttest_ind_from_stats(
+        ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
+    return f"{number(mean)} ± {number(std)} {source}, p = {test.pvalue:.2g}"
 
 
 def draw(rows):
@@ -49,13 +47,13 @@ def draw(rows):
     for axis, (options, task) in zip(panels, tasks.items()):
         x = rows[rows["options"] == options].assign(million_steps=rows["steps"] / 1e6)
         study.curves(x, "million_steps", axis, title=task)
-        for _, same_version, mean, *_ in PUBLISHED[PUBLISHED["task"] == task].to_numpy():
+        for same_version, mean in PUBLISHED.loc[task, "mean"].items():
             axis.axhline(mean, color="black", linestyle="--" if same_version else ":")
         x = final[final["options"] == options]
         digits = 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(x["return"], digits), study.every(x["return"], digits),
-                    study.spread(x["sampled"], digits), published(task, True, x["return"]),
-                    published(task, False, x["return"]), number(x["seconds"].median() / 60, 1)])
+                    study.spread(x["sampled"], digits), published((task, True), x["return"]),
+                    published((task, False), x["return"]), number(x["seconds"].median() / 60, 1)])
     study.save(picture, "ppo_returns")
     for script in REINFORCE, A2C, PPO:
         _, args = study.load(Job(script))

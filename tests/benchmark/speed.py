@@ -19,15 +19,10 @@ PEERS = {"stable-baselines3": ("defaults", {}), "eight environments": ("defaults
          "our sizes": ("our sizes", {}), "its zoo's settings": ("zoo", {})}  # for `peers.make`
 COUNTS, KINDS = (1, 2, 4, 8, 16, 32), {"sync": "one process", "async": "a process each"}
 RACES = [(script, f"--env-id {task} --total-steps 32768") for task, script in TASKS.items()]
-
-
-def crowd(count, kind):
-    return (f"--num-envs {count} --vectorization {kind} --rollout-steps {512 // count} "
-            "--total-steps 20480")
-
-
-CROWDS = [(A2C, crowd(count, kind)) for count in COUNTS for kind in KINDS]
-JOBS = [Job(*x, seed=repetition) for repetition in range(1, 6) for x in RACES + CROWDS]
+CROWDS = {(kind, count): f"--num-envs {count} --vectorization {kind} --rollout-steps "
+          f"{512 // count} --total-steps 20480" for kind in KINDS for count in COUNTS}
+JOBS = [Job(script, options, seed=repetition) for repetition in range(1, 6)
+        for script, options in [*RACES, *((A2C, options) for options in CROWDS.values())]]
 
 
 def our_speed(module, args):
@@ -83,7 +78,7 @@ def draw(rows):
     header = ["script", "task", "steps a second", "ratio to stepping alone",
               *(f"to {name}" for name in PEERS)]
     ours = speeds.groupby("options")["ours"].median()
-    crowds = [[name, *(number(ours[crowd(count, kind)]) for count in COUNTS)]
+    crowds = [[name, *(number(ours[CROWDS[kind, count]]) for count in COUNTS)]
               for kind, name in KINDS.items()]
     return {"speed": study.table(header, lines),
             "scaling": study.table(["steps a second in", *COUNTS], crowds)}

@@ -38,6 +38,9 @@ class Job(NamedTuple):
     seed: int = 1
 
 
+KEYS = list(Job._fields)
+
+
 def load(job):
     """The script of a job, with its change, as a module; and its options."""
     module = ModuleType(job.script.removesuffix(".py"))
@@ -48,10 +51,7 @@ def load(job):
 
 
 def train(job):
-    """A row for each evaluation, and the weights at the end.
-
-    `sampled` and the diagnostics are means over the updates since the evaluation before.
-    """
+    """A row for each evaluation (all but `return`: means since the one before); the weights."""
     module, args = load(job)
     with tempfile.TemporaryDirectory() as folder:
         module.train(0, args, Path(folder))
@@ -79,7 +79,9 @@ def label(measure, job):
 
 def read(name):
     path = DATA / f"{name}.csv"
-    rows = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=Job._fields)
+    if not path.exists():
+        return pd.DataFrame(columns=KEYS)
+    rows = pd.read_csv(path, dtype={"options": str, "change": str})
     return rows.fillna({"options": "", "change": ""})
 
 
@@ -94,14 +96,14 @@ def main(jobs, draw, measure=None, workers=None):
         return print(label(measure, job).to_string())
     name = Path(study.__file__).stem
     rows = read(name)
-    done = set(rows[[*Job._fields]].itertuples(index=False, name=None))
+    done = set(rows[KEYS].itertuples(index=False, name=None))
     lacking = [job for job in jobs if job not in done]
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as processes:
         futures = [processes.submit(label, measure, job) for job in lacking]
         try:
             for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
                 rows = pd.concat([rows, future.result()] if len(rows) else [future.result()])
-                rows = rows.sort_values([*Job._fields], kind="stable")
+                rows = rows.sort_values(KEYS, kind="stable")
                 rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
@@ -151,7 +153,7 @@ def interval(test):
 
 def last(rows):
     """The last row of each job."""
-    return rows.groupby([*Job._fields], sort=False).last().reset_index()
+    return rows.groupby(KEYS, sort=False).last().reset_index()
 
 
 def figure(width, height, *shape, **options):
