@@ -1,22 +1,27 @@
 """The tools of tests/benchmark: changes, rows, tables."""
 
+import re
+import shlex
+import shutil
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import pandas as pd
-import pytest
-from conftest import SCRIPTS
-from harness import TESTS, train
-
-sys.path.append(str(TESTS / "benchmark"))
 import ablation
 import merge
+import pandas as pd
+import pytest
 import report
 import study
 import variants
+from conftest import SCRIPTS
+from harness import ROOT, train
+
+SHEET = (ROOT / "docs/exercises.md").read_text(encoding="utf-8")
+BLANKS = re.findall(r"`python (\S+variants.py) (\S+) (\S+)`.*`python (-m pytest .*)`", SHEET)
 
 
-@pytest.mark.parametrize("name", variants.CHANGES)
+@pytest.mark.parametrize("name", [x for x in variants.CHANGES if "blank" not in x])
 def test_every_change_applies_and_trains(name, monkeypatch):
     world = "Forever" if name == "time-limits-as-deaths" else "Uneven"
     changed, _ = study.load(study.Job(variants.CHANGES[name][0], change=name))
@@ -24,6 +29,23 @@ def test_every_change_applies_and_trains(name, monkeypatch):
                         "--rollout-steps", 32, "--minibatch-size", 32, "--total-steps", 128)
                   for module in (changed, SCRIPTS["ppo_continuous"].module))
     assert not log.drop(columns="seconds").equals(usual.drop(columns="seconds"))
+
+
+@pytest.mark.parametrize(("tool", "name", "file", "tests"), BLANKS)
+def test_a_blank_makes_the_tests_of_its_exercise_red(tool, name, file, tests, tmp_path):
+    """In a copy of the project; without the blank they are green, as this suite shows."""
+    for path in [*ROOT.glob("*.py"), ROOT / ".pytest.ini"]:
+        shutil.copy(path, tmp_path)
+    shutil.copytree(ROOT / "tests", tmp_path / "tests")
+    subprocess.run([sys.executable, tool, name, file], check=True, cwd=tmp_path)
+    out = subprocess.run([sys.executable, *shlex.split(tests)], cwd=tmp_path, text=True,
+                         capture_output=True).stdout
+    assert re.search(r"\d failed", out)
+    assert "error" not in out.splitlines()[-1]
+
+
+def test_every_blank_is_an_exercise():
+    assert {x[1] for x in BLANKS} == {x for x in variants.CHANGES if "blank" in x}
 
 
 def test_a_change_whose_text_is_gone_is_refused(monkeypatch):

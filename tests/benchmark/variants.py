@@ -1,7 +1,7 @@
 """Changes to a script, one at a time, for the ablation and for exercises.
 
     python tests/benchmark/variants.py                       lists them
-    python tests/benchmark/variants.py no-tanh > my_ppo.py   writes the changed script
+    python tests/benchmark/variants.py no-tanh my_ppo.py     writes the changed script
 
 A change is a list of pairs (old text, new text); each old text occurs exactly once in the script.
 """
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PPO = "ppo_continuous.py"
+REINFORCE, A2C, PPO = "reinforce_mujoco.py", "a2c_vector.py", "ppo_continuous.py"
 
 CHANGES = {
     "advantages-not-standardised": (PPO, [(
@@ -33,12 +33,22 @@ CHANGES = {
          "(1 - remaining) * args.last_std)\n", "")]),
     "time-limits-as-deaths": (PPO, [(
         "batch.terminated, batch.done, args.gamma", "batch.done, batch.done, args.gamma")]),
-    "another-reward": (PPO, [(
-        "        done = terminated | truncated\n",
-        "        done = terminated | truncated\n        rewards = np.ones_like(rewards)\n")]),
     "fault-1": (PPO, [("policy.mean if deterministic else policy.sample()", "policy.mean")]),
     "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
     "fault-3": (PPO, [("return -torch.min(", "return torch.min(")]),
+    "blank-rewards-to-go": (REINFORCE, [
+        ("        G = reward + gamma * G\n", "        G = ...\n"),
+        ('"none": 0.0, "mean": rewards_to_go.mean(), "value": values',
+         '"none": ..., "mean": ..., "value": ...')]),
+    "blank-physics": (A2C, [
+        ("self.rng.uniform(-11.99, -7.0)", "..."), ("bool(self.rng.integers(2))", "..."),
+        ("self.rng.uniform(0.0, 20.0)", "..."), ("self.rng.uniform(0.0, 2.0)", "...")]),
+    "blank-gae": (PPO, [
+        ("rewards + gamma * next_values * ~terminated - values  # at first only δ", "..."),
+        ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
+    "blank-clip": (PPO, [
+        ("ratio.clamp(1 - clip_eps, 1 + clip_eps)", "..."),
+        ("-torch.min(ratio * advantages, clipped_ratio * advantages).mean()", "...")]),
 }
 
 
@@ -54,7 +64,7 @@ def changed(file, name=""):
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        name = sys.argv[1]
-        sys.stdout.buffer.write(changed(CHANGES[name][0], name).encode())
+        _, name, file = sys.argv
+        Path(file).write_text(changed(CHANGES[name][0], name), encoding="utf-8")
     else:
         print(*CHANGES, sep="\n")
