@@ -85,12 +85,13 @@ def test_all_tables_are_those_of_docs_data(monkeypatch):
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
-    """Two seeds of 512 steps, one of 256; one that was cut off is left out."""
+    """Two seeds of 512 steps, one of 256, twice; one that was cut off is left out."""
     script, folders = SCRIPTS["ppo_continuous"], []
-    for name, seed, options in (("a", 3, ()), ("b", 4, ()), ("c", 3, ("--total-steps", 256))):
+    shorter = "--total-steps", 256
+    for name, seed, options in ("a", 3, ()), ("b", 4, ()), ("c", 3, shorter), ("d", 3, shorter):
         folders.append(tmp_path / f"Pendulum__ppo_continuous__{name}")
         script.train(folders[-1], *options, seed=seed)
-    cut = script.train(tmp_path / "Pendulum__ppo_continuous__d")
+    cut = script.train(tmp_path / "Pendulum__ppo_continuous__e")
     pd.read_csv(f"{cut}.csv").head(2).to_csv(f"{cut}.csv", index=False)
     merge.main([*folders, cut.parent])
     out = capsys.readouterr().out

@@ -4,7 +4,7 @@
 
 A setting is a script with the options in which it differs from the other runs, the steps among
 them. For each: its seeds, mean and standard deviation of their last evaluations; with just two
-settings also p, of Welch's t-test (needs scipy). The figure, merged.png, lies beside the folders.
+settings also p, of Welch's t-test (needs scipy). A seed that ran twice counts once. The figure, merged.png, lies beside the folders.
 """
 
 import sys
@@ -23,7 +23,7 @@ def read(folders):
         if log["env_step"].iloc[-1] < saved["total_steps"]:
             print("left out, as it has not ended:", file)
             continue
-        logs.append(log.assign(seed=f"{file.parent.name}/{file.stem}"))
+        logs.append(log.assign(seed=file.stem))
         options.append({"script": file.parent.name.split("__")[1], **saved})
     if not logs:
         sys.exit("merge.py: no finished run in these folders")
@@ -32,7 +32,8 @@ def read(folders):
     settings = [", ".join(f"{name} {value}" for name, value in row.items())
                 for row in options[differ].to_dict("records")]
     logs = [log.assign(setting=setting) for log, setting in zip(logs, settings)]
-    return pd.concat(logs, ignore_index=True).dropna(subset="eval_return")
+    logs = pd.concat(logs, ignore_index=True).dropna(subset="eval_return")
+    return logs.drop_duplicates(["setting", "seed", "env_step"])  # a seed that ran twice
 
 
 def main(folders):
