@@ -4,7 +4,8 @@
 
 A setting is a script with the options in which it differs from the other runs, the steps among
 them. For each: its seeds, mean and standard deviation of their last evaluations; with just two
-settings also p, of Welch's t-test (needs scipy). A seed that ran twice counts once. The figure, merged.png, lies beside the folders.
+settings also p, of Welch's t-test (needs scipy). A seed that ran twice counts once. The figure,
+merged.png, lies beside the folders.
 """
 
 import sys

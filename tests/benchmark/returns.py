@@ -56,17 +56,15 @@ def draw(rows):
                     number(x["seconds"].median() / 60, 1)])
         seeds.append([task, study.every(returns, digits), study.spread(x["sampled"], digits)])
     study.save(picture, "ppo_returns")
-    for script in REINFORCE, A2C, PPO:
+    for script, x in final[final["options"] == HUNDRED].groupby("script"):
         _, args = study.load(Job(script))
-        x = final[(final["script"] == script) & (final["options"] == HUNDRED)]
         solved = gym.spec(args.env_id).reward_threshold
         three.append([f"`{script}`", args.env_id, study.spread(x["return"]),
                       number(x["return"].min()), f"{solved:,g}",
                       f"{(x['return'] >= solved).sum()} of {len(x)}", f"{args.total_steps:,}",
                       number(x["seconds"].median())])
-    for options, script in SETTINGS.items():
-        x = final[(final["script"] == script) & (final["options"] == options)]
-        others.append([f"`{script} {options}`", study.every(x["return"]),
+    for options, x in final[final["options"].isin(SETTINGS)].groupby("options"):
+        others.append([f"`{SETTINGS[options]} {options}`", study.every(x["return"]),
                        number(x["return"].mean()), number(x["seconds"].median() / 60, 1)])
     return {
         "ten tasks": study.table(["task", "mean ± std", "lowest", "published, same version",
