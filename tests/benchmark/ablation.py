@@ -46,44 +46,48 @@ def effects(rows):
     from scipy import stats
 
     found, rows = [], rows.groupby(study.KEYS)
-    returns, means = rows["return"].last().unstack(), rows[["kl", "explained_variance"]].mean()
+    returns, fit = rows["return"].last().unstack(), rows["explained_variance"].mean().unstack()
     for table in TABLES:
         usual = returns.loc[job(table)[:3]]
         for change in TABLES[table][2]:
-            x = returns.loc[job(table, change)[:3]]
+            key = job(table, change)[:3]
+            x = returns.loc[key]
             test = stats.ttest_1samp(100 * (x - usual) / usual.mean(), 0)
             gain, margin = study.interval(test)
             found.append({"table": table, "change": change, "gain": gain, "margin": margin,
                           "p": test.pvalue, "returns": x, "usual": usual, "idle": sum(x == usual),
-                          **means.loc[job(table, change)[:3]].mean()})
+                          "fit": fit.loc[key].mean(), "usual_fit": fit.loc[job(table)[:3]].mean()})
     found = pd.DataFrame(found)
-    return found.assign(holds=holm(found["p"])).sort_values("gain")
+    return found.assign(holds=holm(found["p"]))
+
+
+def as_text(effect):
+    text = f"{number(effect.gain)} ± {number(effect.margin)}"
+    text = f"**{text}**" if effect.holds else text
+    return f"{text} ({effect.idle} seeds unchanged)" if effect.idle else text
 
 
 def draw(rows):
-    found, tables = effects(rows), {}
+    found = effects(rows)
     details = found[found["change"].isin(DETAILS)]
     order = details.groupby("change")["gain"].mean().sort_values(ascending=False).index.to_list()
     picture, panels = study.figure(14, 6, 1, 3, sharey=True)
-    for axis, (table, effects_here) in zip(panels, details.groupby("table")):
-        for x in effects_here.itertuples():
+    lines = {change: [f"`{change}`"] for change in ["as it is", *reversed(order)]}
+    for axis, (table, here) in zip(panels, details.groupby("table", sort=False)):
+        lines["as it is"].append(study.spread(here["usual"].iloc[0]))
+        for x in here.itertuples():
             axis.errorbar(x.gain, order.index(x.change), xerr=x.margin, fmt="o", capsize=3,
                           color="C0", markerfacecolor="C0" if x.holds else "white")
+            lines[x.change].append(as_text(x))
         axis.axvline(0, color="grey")
         axis.set(title=table, xlabel="gain, %", yticks=range(len(order)), yticklabels=order)
     study.save(picture, "ablation")
-    for table, effects_here in found.groupby("table"):
-        usual = effects_here["usual"].iloc[0]
-        lines = [["as it is", study.spread(usual), study.every(usual), "", "", "", ""]]
-        for x in effects_here.itertuples():
-            gain = f"{number(x.gain)} ± {number(x.margin)} %"
-            lines.append([f"`{x.change}`", study.spread(x.returns), study.every(x.returns),
-                          f"**{gain}**" if x.holds else gain, x.idle, f"{x.kl:.2g}",
-                          f"{x.explained_variance:.2g}"])
-        tables[f"ablation {table}"] = study.table(
-            [table, "mean ± std", "seeds 81 to 88", "gain, 95%", "seeds unchanged", "KL",
-             "explained variance"], lines)
-    return tables
+    answers = [[x.table, f"`{x.change}`", study.spread(x.usual), study.spread(x.returns),
+                f"{as_text(x)} %", f"{x.usual_fit:.2g}, {x.fit:.2g}"]
+               for x in found[~found["change"].isin(DETAILS)].itertuples()]
+    return {"ablation": study.table(["gain, %", *details["table"].unique()], lines.values()),
+            "answers": study.table(["", "change", "without", "with", "gain, 95%",
+                                    "explained variance without, with"], answers)}
 
 
 if __name__ == "__main__":
