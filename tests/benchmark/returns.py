@@ -46,7 +46,7 @@ def draw(rows):
     picture, panels = study.figure(15, 6, 2, 5)
     for axis, (options, task) in zip(panels, tasks.items()):
         x = rows[rows["options"] == options].assign(million_steps=rows["steps"] / 1e6)
-        study.curves(x, "million_steps", axis, title=task)
+        study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
         for same_version, mean in PUBLISHED.loc[task, "mean"].items():
             axis.axhline(mean, color="black", linestyle="--" if same_version else ":")
         x = final[final["options"] == options]
