@@ -1,7 +1,7 @@
 """How high do the returns get, and how often does a run fail?
 
 PPO on ten tasks, a million steps each; all three scripts as they are, with a hundred episodes in
-the last evaluation; and options for other tasks. Some five hours on two cores.
+the last evaluation; and options for other tasks. Some three hours on two cores.
 """
 
 import gymnasium as gym
