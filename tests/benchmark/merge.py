@@ -3,11 +3,12 @@
     python tests/benchmark/merge.py runs/HalfCheetah*
 
 A setting is a script with the options in which it differs from the other runs, the steps among
-them. For each: its seeds, mean and standard deviation of their last evaluations; with just two
-settings also p, of Welch's t-test (needs scipy). A seed that ran twice counts once. The figure,
+them. For each: its seeds, mean and standard deviation of their last evaluations; for each pair p,
+of Welch's t-test (needs scipy). Of a seed that ran twice the later run counts. The figure,
 merged.png, lies beside the folders.
 """
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -34,20 +35,20 @@ def read(folders):
                 for row in options[differ].to_dict("records")]
     logs = [log.assign(setting=setting) for log, setting in zip(logs, settings)]
     logs = pd.concat(logs, ignore_index=True).dropna(subset="eval_return")
-    return logs.drop_duplicates(["setting", "seed", "env_step"])  # a seed that ran twice
+    return logs.drop_duplicates(["setting", "seed", "env_step"], keep="last")
 
 
 def main(folders):
     logs = read(folders)
     last = logs.groupby(["setting", "seed"])["eval_return"].last().groupby("setting")
     print(last.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
-    if len(last) == 2:
-        try:
-            from scipy import stats
-            test = stats.ttest_ind(*(returns for _, returns in last), equal_var=False)
-            print(f"p = {test.pvalue:.3g} (Welch's t-test)")
-        except ImportError:
-            print("p: needs scipy (pip install scipy)")
+    try:
+        from scipy import stats
+        for (one, x), (other, y) in itertools.combinations(last, 2):
+            p = stats.ttest_ind(x, y, equal_var=False).pvalue
+            print(f"{one} | {other}: p = {p:.3g} (Welch's t-test)")
+    except ImportError:
+        print("p: needs scipy (pip install scipy)")
     picture, (axis,) = study.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)

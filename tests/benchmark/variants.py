@@ -41,6 +41,7 @@ CHANGES = {
         ('"none": 0.0, "mean": rewards_to_go.mean(), "value": values',
          '"none": ..., "mean": ..., "value": ...')]),
     "blank-physics": (A2C, [
+        ("np.random.default_rng([seed, 1])", "..."),
         ("self.rng.uniform(-11.99, -7.0)", "..."), ("bool(self.rng.integers(2))", "..."),
         ("self.rng.uniform(0.0, 20.0)", "..."), ("self.rng.uniform(0.0, 2.0)", "...")]),
     "blank-gae": (PPO, [
@@ -65,6 +66,10 @@ def changed(file, name=""):
 if __name__ == "__main__":
     if sys.argv[1:]:
         _, name, file = sys.argv
-        Path(file).write_text(changed(CHANGES[name][0], name), encoding="utf-8")
+        try:
+            text = changed(CHANGES[name][0], name)
+        except ValueError:  # whose message would show solutions
+            sys.exit(f"{CHANGES[name][0]} has been changed: {name} needs a fresh copy of it")
+        Path(file).write_text(text, encoding="utf-8")
     else:
         print(*CHANGES, sep="\n")
