@@ -43,52 +43,47 @@ def holm(p_values, level=0.05):
 
 
 def effects(rows):
-    """For each change: returns, and what the seeds gain in percent of the mean without it."""
+    """A row for each change: what the seeds gain, in percent of the mean without it."""
     from scipy import stats
 
     found, rows = [], rows.groupby(study.KEYS)
     returns, fit = rows["return"].last().unstack(), rows["explained_variance"].mean().unstack()
-    for table in TABLES:
+    for table, (*_, changes) in TABLES.items():
         usual = returns.loc[job(table)[:3]]
-        for change in TABLES[table][2]:
+        for change in changes:
             key = job(table, change)[:3]
             x = returns.loc[key]
             test = stats.ttest_1samp(100 * (x - usual) / usual.mean(), 0)
-            gain, margin = study.interval(test)
-            found.append({"table": table, "change": change, "gain": gain, "margin": margin,
-                          "p": test.pvalue, "returns": x, "usual": usual, "idle": sum(x == usual),
-                          "fit": fit.loc[key].mean(), "usual_fit": fit.loc[job(table)[:3]].mean()})
-    found = pd.DataFrame(found)
+            fits = f"{fit.loc[job(table)[:3]].mean():.2g}, {fit.loc[key].mean():.2g}"
+            found.append([table, change, *study.interval(test), test.pvalue, sum(x == usual),
+                          study.spread(usual), study.spread(x), fits])
+    found = pd.DataFrame(found, columns=[
+        "table", "change", "gain", "margin", "p", "idle", "without", "with_it", "fits"])
     return found.assign(holds=holm(found["p"]))
-
-
-def as_text(effect):
-    text = f"{number(effect.gain)} ± {number(effect.margin)}"
-    text = f"**{text}**" if effect.holds else text
-    return f"{text} ({effect.idle} seeds unchanged)" if effect.idle else text
 
 
 def draw(rows):
     found = effects(rows)
+    found["text"] = [
+        f"{'**' * x.holds}{number(x.gain)} ± {number(x.margin)}{'**' * x.holds}"
+        + f" ({x.idle} seeds unchanged)" * (x.idle > 0) for x in found.itertuples()]
     details = found[found["change"].isin(DETAILS)]
-    order = details.groupby("change")["gain"].mean().sort_values(ascending=False).index.to_list()
+    order = details.groupby("change")["gain"].mean().sort_values().index
+    texts = details.pivot(index="change", columns="table", values="text").loc[order]
+    usual = details.groupby("table")["without"].first()
     picture, panels = study.figure(14, 6, 1, 3, sharey=True)
-    lines = {change: [f"`{change}`"] for change in ["as it is", *reversed(order)]}
-    for axis, (table, here) in zip(panels, details.groupby("table", sort=False)):
-        lines["as it is"].append(study.spread(here["usual"].iloc[0]))
-        for x in here.itertuples():
-            axis.errorbar(x.gain, order.index(x.change), xerr=x.margin, fmt="o", capsize=3,
-                          color="C0", markerfacecolor="C0" if x.holds else "white")
-            lines[x.change].append(as_text(x))
+    for axis, table in zip(panels, texts):
+        x = details[details["table"] == table].set_index("change").loc[order[::-1]]
+        axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
+        axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0")
         axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, %", yticks=range(len(order)), yticklabels=order)
+        axis.set(title=table, xlabel="gain, %")
     study.save(picture, "ablation")
-    answers = [[x.table, f"`{x.change}`", study.spread(x.usual), study.spread(x.returns),
-                f"{as_text(x)} %", f"{x.usual_fit:.2g}, {x.fit:.2g}"]
-               for x in found[~found["change"].isin(DETAILS)].itertuples()]
-    return {"ablation": study.table(["gain, %", *details["table"].unique()], lines.values()),
-            "answers": study.table(["", "change", "without", "with", "gain, 95%",
-                                    "explained variance without, with"], answers)}
+    answers = found[~found["change"].isin(DETAILS)]
+    lines = [["as it is", *usual[texts.columns]], *texts.reset_index().to_numpy()]
+    return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(
+        ["", "change", "without", "with", "explained variance without, with", "gain, %"],
+        answers[["table", "change", "without", "with_it", "fits", "text"]].to_numpy())}
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ The noise is the variance of the gradient, for the agent of a short run. Some te
 
 import gymnasium as gym
 import numpy as np
+import seaborn as sns
 import study
 import torch
 from study import REINFORCE, Job
@@ -46,17 +47,19 @@ def gradient(module, agent, baseline, obs, actions, rewards_to_go):
 
 def draw(rows):
     noise = study.last(rows[rows["options"] == NOISE])
-    picture, panels = study.figure(11, 4, 1, 3)
-    lines = []
-    for axis, name in zip(panels, BASELINES):
-        x = rows[rows["options"] == f"--baseline {name}"]
-        runs = x.groupby("seed")
-        study.curves(x, "steps", axis, title=f"--baseline {name}", ylim=(0, 1050))
-        early = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
-        final = runs["return"].last()
-        lines.append([f"`{name}`",
-                      study.spread(noise[f"variance_{name}"] / noise["variance_none"], 2),
-                      study.spread(early), study.every(early), study.every(final)])
+    variance, early, lines = {}, {}, []
+    for name in BASELINES:
+        runs = rows[rows["options"] == f"--baseline {name}"].groupby("seed")
+        variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
+        early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
+        lines.append([f"`{name}`", study.spread(variance[name], 2), study.spread(early[name]),
+                      study.every(early[name]), study.every(runs["return"].last())])
+    picture, panels = study.figure(11, 4, 1, 2)
+    titles = "variance of the gradient, relative to none", f"return after {EARLY:,} steps"
+    for axis, title, x in zip(panels, titles, (variance, early)):
+        sns.barplot(x, errorbar=None, color="lightgrey", ax=axis)
+        sns.stripplot(x, color="black", ax=axis)
+        axis.set(xlabel="--baseline", ylabel="", title=title)
     study.save(picture, "baselines")
     return {"baselines": study.table(
         ["`--baseline`", "variance, relative to `none`", f"return after {EARLY:,} steps",

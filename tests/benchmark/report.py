@@ -4,7 +4,7 @@ import importlib
 
 import study
 
-STUDIES = ("returns",)
+STUDIES = "returns", "baselines"
 
 
 def tables():

@@ -43,18 +43,22 @@ def published(key, ours):
 def draw(rows):
     tasks, final = {f"--env-id {task} {MILLION}": task for task in TASKS}, study.last(rows)
     ten, three, others = [], [], []
-    picture, panels = study.figure(15, 6, 2, 5)
+    picture, panels = study.figure(14.5, 6.5, 2, 5)
     for axis, (options, task) in zip(panels, tasks.items()):
         x = rows[rows["options"] == options].assign(million_steps=rows["steps"] / 1e6)
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
+        axis.lines[0].set_label("each seed")
+        axis.lines[-1].set_label("mean")
         for same_version, mean in PUBLISHED.loc[task, "mean"].items():
-            axis.axhline(mean, color="black", linestyle="--" if same_version else ":")
+            style, words = ("--", "on this version") if same_version else (":", "on older ones")
+            axis.axhline(mean, color="black", linestyle=style, label=f"published {words}")
         x = final[final["options"] == options]
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
                     number(x["sampled"].mean(), digits),
                     published((task, True), returns), published((task, False), returns),
                     number(x["seconds"].median() / 60, 1)])
+    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     study.save(picture, "ppo_returns")
     for script, x in final[final["options"] == HUNDRED].groupby("script"):
         _, args = study.load(Job(script))
