@@ -58,7 +58,7 @@ def draw(rows):
     titles = "variance of the gradient, relative to none", f"return after {EARLY:,} steps"
     for axis, title, x in zip(panels, titles, (variance, early)):
         sns.barplot(x, errorbar=None, color="lightgrey", ax=axis)
-        sns.stripplot(x, color="black", ax=axis)
+        sns.swarmplot(x, color="black", ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title)
     study.save(picture, "baselines")
     return {"baselines": study.table(
