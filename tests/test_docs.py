@@ -57,7 +57,7 @@ def test_every_snippet_compiles(block):
 
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
-             "--array", "--wrap"}  # of diff, torchrun, SLURM
+             "--array", "--wrap", "--tb"}  # of diff, torchrun, SLURM, pytest
     for script in SCRIPTS.values():
         known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known

@@ -3,9 +3,9 @@
     python tests/benchmark/merge.py runs/HalfCheetah*
 
 A setting is a script with the options in which it differs from the other runs, the steps among
-them. For each: its seeds, mean and standard deviation of their last evaluations; for each pair p,
-of Welch's t-test (needs scipy). Of a seed that ran twice the later run counts. The figure,
-merged.png, lies beside the folders.
+them. For each: its seeds, mean and standard deviation of their last evaluations; for each pair the
+difference, and p of Welch's t-test (needs scipy). Of a seed that ran twice the later run counts.
+The figure, merged.png, lies beside the folders.
 """
 
 import itertools
@@ -45,8 +45,9 @@ def main(folders):
     try:
         from scipy import stats
         for (one, x), (other, y) in itertools.combinations(last, 2):
-            p = stats.ttest_ind(x, y, equal_var=False).pvalue
-            print(f"{one} | {other}: p = {p:.3g} (Welch's t-test)")
+            welch = stats.ttest_ind(x, y, equal_var=False)
+            gain, margin = study.interval(welch)
+            print(f"{one} − {other}: {gain:.4g} ± {margin:.2g} (95%), p = {welch.pvalue:.3g}")
     except ImportError:
         print("p: needs scipy (pip install scipy)")
     picture, (axis,) = study.figure(11, 7)

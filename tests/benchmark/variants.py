@@ -33,7 +33,8 @@ CHANGES = {
          "(1 - remaining) * args.last_std)\n", "")]),
     "time-limits-as-deaths": (PPO, [(
         "batch.terminated, batch.done, args.gamma", "batch.done, batch.done, args.gamma")]),
-    "fault-1": (PPO, [("policy.mean if deterministic else policy.sample()", "policy.mean")]),
+    "fault-1": (PPO, [(
+        "(policy.mean if deterministic else policy.sample()).numpy()", "policy.mean.numpy()")]),
     "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
     "fault-3": (PPO, [("return -torch.min(", "return torch.min(")]),
     "blank-rewards-to-go": (REINFORCE, [
