@@ -8,7 +8,7 @@
     python ppo_continuous.py --seed 1 2 3
 
 trains three agents side by side to balance a double pendulum on a cart. In a good run the return
-climbs within a minute or two from 50, which random actions earn, to 9,300; the most is 9,360.
+climbs within a minute from 50, which random actions earn, to 9,300; the most is 9,360.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
 reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
