@@ -27,30 +27,35 @@ def draw(rows):
     ours, speeds = study.read("returns"), study.read("speed")
     ours = ours[(ours["script"] == PPO) & (ours["seed"] <= 75)].assign(change="ours")
     speeds = speeds.groupby(["options", "learner"])["speed"].median()
-    picture, panels = study.figure(15, 8, 2, len(TASKS))
+    picture, panels = study.figure(14, 8, 2, len(TASKS))
     panels, lines = list(panels), []
     for column, task in enumerate(TASKS):
         courses, runs = {}, {}
-        for color, (learner, name) in enumerate(SPEEDS.items()):
+        for color, style, (learner, name) in zip(range(4), ("-", "--", ":", "-."), SPEEDS.items()):
             x = ours if learner == "ours" else rows
             x = x[(x["options"] == f"--env-id {task} --total-steps 1e6") & (x["change"] == learner)]
             speed = speeds[f"--env-id {task} --total-steps 32768", name]
             x = x.assign(minutes=x["steps"] / speed / 60)
             for unit, row in ("steps", 0), ("minutes", 1):
                 study.curves(x, unit, panels[column + row * len(TASKS)], label=learner,
-                             color=f"C{color}", title=task)
+                             color=f"C{color}", style=style, title=task)
             courses[learner] = x.groupby("steps")[["return", "minutes"]].mean().reset_index()
             runs[learner] = x.groupby("seed")["return"].last()
         panels[column + len(TASKS)].set(xscale="log", xlim=(0.1, 50))
         panels[column + len(TASKS)].xaxis.set_major_formatter("{x:g}")
         for learner, course in courses.items():
-            lines.append([task, learner, study.spread(runs[learner]), study.every(runs[learner]),
-                          number(course["minutes"].iloc[-1], 1),
-                          *(reach(courses[x], runs[y].mean()) for x, y in (
-                              (learner, learner), ("ours", learner), (learner, "ours")))])
+            passages = (learner, learner), ("ours", learner), (learner, "ours")
+            lines.append([task, learner, study.spread(runs[learner]),
+                          number(course["minutes"].iloc[-1], 1), *(
+                              reach(courses[x], runs[y].mean()) for x, y in (
+                                  passages if learner != "ours" else passages[:1]))])
+            lines[-1] += [""] * (7 - len(lines[-1]))
+    for panel in panels:
+        panel.get_legend().remove()
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     study.save(picture, "ppo_race")
-    header = ["task", "learner", "mean ± std", "every seed", "minutes",
-              "reaches its mean at", "ours reaches that at", "it reaches ours at"]
+    header = ["task", "learner", "mean ± std", "minutes", "reaches its mean at",
+              "ours reaches that at", "it reaches ours at"]
     lander = study.last(rows[rows["options"].str.contains("Lunar")]).groupby("change")["return"]
     return {"race": study.table(header, lines), "A2C race": study.table(
         ["stable-baselines3's A2C", "mean ± std", "every seed"],

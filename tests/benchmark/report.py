@@ -4,7 +4,7 @@ import importlib
 
 import study
 
-STUDIES = "returns", "baselines"
+STUDIES = "returns", "race", "speed", "baselines"
 
 
 def tables():

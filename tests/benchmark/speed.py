@@ -73,7 +73,7 @@ def draw(rows):
         x = speeds.loc[options]
         ratios = x["ours"] / x[["stepping alone", *PEERS]].T
         lines.append([f"`{script}`", options.split()[1], number(x["ours"].median()), *(
-            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
+            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if ratio.any() else ""
             for _, ratio in ratios.iterrows())])
     header = ["script", "task", "steps a second", "ratio to stepping alone",
               *(f"to {name}" for name in PEERS)]
