@@ -26,15 +26,16 @@ JOBS = [
 ]
 
 
-def published(key, ours):
-    """As text, with p of Welch's test against ours if the spread is known."""
+def published(key, runs):
+    """As text, with p of Welch's test against ours, of the same kind, if the spread is known."""
     from scipy import stats
 
     if key not in PUBLISHED.index:
         return ""
-    mean, std, seeds, source = PUBLISHED.loc[key]
+    mean, std, seeds, sampled, source = PUBLISHED.loc[key]
     if not std > 0:
         return f"{number(mean, 0 if mean % 1 == 0 else 1)} {source}"
+    ours = runs["sampled" if sampled else "return"]
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
     return f"{number(mean)} ± {number(std)} {source}, p = {test.pvalue:.2g}"
@@ -56,7 +57,7 @@ def draw(rows):
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
                     number(x["sampled"].mean(), digits),
-                    published((task, True), returns), published((task, False), returns),
+                    published((task, True), x), published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     study.save(picture, "ppo_returns")
