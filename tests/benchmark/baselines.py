@@ -47,23 +47,24 @@ def gradient(module, agent, baseline, obs, actions, rewards_to_go):
 
 def draw(rows):
     noise = study.last(rows[rows["options"] == NOISE])
-    variance, early, lines = {}, {}, []
+    variance, early, whole, lines = {}, {}, {}, []
     for name in BASELINES:
         runs = rows[rows["options"] == f"--baseline {name}"].groupby("seed")
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
         early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
+        whole[name] = runs["return"].mean()
         lines.append([f"`{name}`", study.spread(variance[name], 2), study.spread(early[name]),
-                      study.every(early[name]), study.every(runs["return"].last())])
-    picture, panels = study.figure(11, 4, 1, 2)
-    titles = "variance of the gradient, relative to none", f"return after {EARLY:,} steps"
-    for axis, title, x in zip(panels, titles, (variance, early)):
+                      study.spread(whole[name]), study.every(runs["return"].last())])
+    picture, panels = study.figure(14, 4, 1, 3)
+    titles = ("variance, relative to none", f"return after {EARLY:,} steps",
+              "mean return over a run")
+    for axis, title, x in zip(panels, titles, (variance, early, whole)):
         sns.barplot(x, errorbar=None, color="lightgrey", ax=axis)
         sns.swarmplot(x, color="black", ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title)
     study.save(picture, "baselines")
     return {"baselines": study.table(
-        ["`--baseline`", "variance, relative to `none`", f"return after {EARLY:,} steps",
-         "every seed", "at the end, every seed"], lines)}
+        ["`--baseline`", *titles, "at the end, every seed"], lines)}
 
 
 if __name__ == "__main__":

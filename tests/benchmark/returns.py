@@ -33,12 +33,13 @@ def published(key, runs):
     if key not in PUBLISHED.index:
         return ""
     mean, std, seeds, sampled, source = PUBLISHED.loc[key]
+    digits = 0 if abs(mean) > 100 else 1
     if not std > 0:
-        return f"{number(mean, 0 if mean % 1 == 0 else 1)} {source}"
+        return f"{number(mean, digits)} {source}"
     ours = runs["sampled" if sampled else "return"]
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
-    return f"{number(mean)} ± {number(std)} {source}, p = {test.pvalue:.2g}"
+    return f"{number(mean, digits)} ± {number(std, digits)} {source}, p = {test.pvalue:.2g}"
 
 
 def draw(rows):
