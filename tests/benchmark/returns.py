@@ -13,8 +13,13 @@ PUBLISHED = study.read("published").set_index(["task", "same_version"])
 TASKS = sorted(set(PUBLISHED.index.get_level_values("task")))
 MILLION, HUNDRED = "--total-steps 1e6", "--num-evals 1 --eval-episodes 100"
 SETTINGS = {  # options for other tasks: five seeds
-    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512":
+    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.9999 --gae-lambda 0.98 --rollout-steps 512":
         PPO,
+    "--env-id Hopper-v5 --total-steps 3e5 --rollout-steps 32 --minibatch-size 128": PPO,
+    "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2": PPO,
+    "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99": A2C,
+    "--env-id Acrobot-v1 --total-steps 5e5": A2C,
+    "--env-id MountainCar-v0 --total-steps 5e5": A2C,
 }
 JOBS = [
     *(Job(script, HUNDRED, seed=seed) for seed in range(71, 81) for script in (REINFORCE, PPO)),
