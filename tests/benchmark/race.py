@@ -1,8 +1,7 @@
 """Ours against stable-baselines3: return against steps and against minutes, in both directions.
 
 Ours are the ten runs of `returns`. Minutes are steps divided by the steps a second that `speed`
-measured side by side, as machines differ. The peers take nine hours on two cores, of which those
-with our sizes take a quarter of an hour.
+measured side by side, as machines differ. The peers take some three hours on two cores.
 """
 
 import peers
