@@ -44,7 +44,8 @@ def published(key, runs):
     ours = runs["sampled" if sampled else "return"]
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
-    return f"{number(mean, digits)} ± {number(std, digits)} {source}, p = {test.pvalue:.2g}"
+    below = "below, " if ours.mean() < mean else ""
+    return f"{number(mean, digits)} ± {number(std, digits)} {source}, {below}p = {test.pvalue:.2g}"
 
 
 def draw(rows):
