@@ -73,7 +73,7 @@ def label(measure, job):
     if cpuinfo.exists():  # Linux says it there
         processor = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
     rows = pd.DataFrame(measure(job) if measure else train(job)[0])
-    origin = {**job._asdict(), "commit": commit, "processor": processor}
+    origin = {**job._asdict(), "commit": commit or "unknown", "processor": processor}
     return pd.DataFrame(origin, rows.index).join(rows)
 
 
