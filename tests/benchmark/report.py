@@ -4,7 +4,7 @@ import importlib
 
 import study
 
-STUDIES = "returns", "race", "speed", "baselines"
+STUDIES = "returns", "race", "speed", "baselines", "robustness"
 
 
 def tables():
