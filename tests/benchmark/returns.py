@@ -38,14 +38,13 @@ def published(key, runs):
     if key not in PUBLISHED.index:
         return ""
     mean, std, seeds, sampled, source = PUBLISHED.loc[key]
-    digits = 0 if abs(mean) > 100 else 1
+    ours, digits = runs["sampled" if sampled else "return"], 0 if abs(mean) > 100 else 1
+    below = ", below" if ours.mean() < mean else ""
     if not std > 0:
-        return f"{number(mean, digits)} {source}"
-    ours = runs["sampled" if sampled else "return"]
+        return f"{number(mean, digits)} {source}{below}"
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
-    below = "below, " if ours.mean() < mean else ""
-    return f"{number(mean, digits)} ± {number(std, digits)} {source}, {below}p = {test.pvalue:.2g}"
+    return f"{number(mean, digits)} ± {number(std, digits)} {source}{below}, p = {test.pvalue:.2g}"
 
 
 def draw(rows):
@@ -58,8 +57,9 @@ def draw(rows):
         axis.lines[0].set_label("each seed")
         axis.lines[-1].set_label("mean")
         for same_version, mean in PUBLISHED.loc[task, "mean"].items():
-            style, words = ("--", "on this version") if same_version else (":", "on older ones")
-            axis.axhline(mean, color="black", linestyle=style, label=f"published {words}")
+            version, style = ("this version", "--") if same_version else ("older ones", ":")
+            axis.axhline(mean, color="black", linestyle=style,
+                         label=f"published on {version}, mostly in training")
         x = final[final["options"] == options]
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
