@@ -29,31 +29,33 @@ def draw(rows):
     picture, panels = study.figure(14, 8, 2, len(TASKS), sharey="col")
     panels, lines = list(panels), []
     for column, task in enumerate(TASKS):
-        courses, runs = {}, {}
+        courses, last, tenth = {}, {}, {}
         for style, (learner, name) in zip(("-", "--", ":", "-."), LEARNERS.items()):
             x = ours if learner == "ours" else rows
             x = x[(x["options"] == f"--env-id {task} --total-steps 1e6") & (x["change"] == learner)]
-            runs[learner] = x.groupby("seed")["return"].last()
+            last[learner] = x.groupby("seed")["return"].last()
+            tenth[learner] = x[x["steps"] > 890_000].groupby("seed")["return"].mean()
             millions = (x["steps"] / 50_000).round() / 20  # means over 50,000 steps
             speed = speeds[f"--env-id {task} --total-steps 32768", name]
             x = x.assign(**{"million steps": millions, "minutes": 1e6 * millions / speed / 60})
-            x = x[millions > 0]
+            x, label = x[millions > 0], "stable-baselines3, " * (learner != "ours") + learner
             courses[learner] = x.groupby(["million steps", "minutes"], as_index=False)[
                 "return"].mean()
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
                 sns.lineplot(x, x=unit, y="return", errorbar=("pi", 50), linestyle=style,
-                             linewidth=3, label=learner, legend=False, ax=axis)
+                             linewidth=3, label=label, legend=False, ax=axis)
                 axis.set(title=task, ylabel="return in evaluation")
         axis.set(xscale="log", xlim=(0.05, 30))
         axis.xaxis.set_major_formatter("{x:g}")
-        for learner, run in runs.items():
-            lines.append([task, learner, study.spread(run),
-                          number(courses[learner]["minutes"].iloc[-1], 1),
-                          reach(courses["ours"], run.mean()),
-                          reach(courses[learner], runs["ours"].mean())])
+        for learner, course in courses.items():
+            passages = (reach(courses["ours"], tenth[learner].mean()),
+                        reach(course, tenth["ours"].mean()))
+            lines.append([task, learner, study.spread(last[learner]), study.spread(tenth[learner]),
+                          number(course["minutes"].iloc[-1], 1),
+                          *(passages if learner != "ours" else ("", ""))])
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     study.save(picture, "ppo_race")
-    return {"race": study.table(["task", "learner", "mean ± std", "minutes",
+    return {"race": study.table(["task", "learner", "last evaluation", "last tenth", "minutes",
                                  "ours reaches that at", "it reaches ours at"], lines)}
 
 
