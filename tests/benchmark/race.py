@@ -38,7 +38,8 @@ def draw(rows):
             millions = (x["steps"] / 50_000).round() / 20  # means over 50,000 steps
             speed = speeds[f"--env-id {task} --total-steps 32768", name]
             x = x.assign(**{"million steps": millions, "minutes": 1e6 * millions / speed / 60})
-            x, label = x[millions > 0], "stable-baselines3, " * (learner != "ours") + learner
+            x = x[millions > 0]
+            label = learner if learner == "ours" else f"stable-baselines3, {learner}"
             courses[learner] = x.groupby(["million steps", "minutes"], as_index=False)[
                 "return"].mean()
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
