@@ -1,6 +1,6 @@
 """What is each detail worth? Changes one at a time; some of them are exercises.
 
-Eight seeds a setting, in one go, without tuning again after a change. Some three hours on two cores.
+Eight seeds a setting, in one go, without tuning again after a change. Three hours on two cores.
 """
 
 import numpy as np
