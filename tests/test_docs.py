@@ -25,7 +25,7 @@ SNIPPETS = [block for kind, block in BLOCKS if kind == "python"]
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A new folder, in which my_module.py lies."""
-    (module,) = [x for x in SNIPPETS if "class Push" in x]
+    module = "\n".join(x for x in SNIPPETS if "gym.register" in x)
     (tmp_path / "my_module.py").write_text(module, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))

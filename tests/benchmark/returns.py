@@ -18,7 +18,7 @@ SETTINGS = {  # options for other tasks: the script, the first of five seeds
     "--env-id Hopper-v5 --total-steps 3e5 --rollout-steps 32 --minibatch-size 128": (PPO, 91),
     "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2": (PPO, 91),
     "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99": (A2C, 91),
-    "--env-id Acrobot-v1 --total-steps 5e5": (A2C, 91),
+    "--env-id my_module:HeldAcrobot-v0 --total-steps 1e5": (A2C, 91),  # the guide's module
     "--env-id MountainCar-v0 --total-steps 5e5": (A2C, 91),
 }
 JOBS = [
