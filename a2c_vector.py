@@ -438,7 +438,7 @@ def plot(folder):
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     figure = Figure(figsize=(12, 8), layout="constrained")
     diagnostics = ["value_loss", "explained_variance", "entropy"]
-    axes = figure.subplot_mosaic([["return"] * 3, diagnostics], height_ratios=(3, 1))
+    axes = figure.subplot_mosaic([["return"] * len(diagnostics), diagnostics], height_ratios=(3, 1))
     for name, ax in axes.items():
         sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
                      alpha=0.4 if name == "return" else 1.0)

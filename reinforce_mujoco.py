@@ -348,7 +348,7 @@ def plot(folder):
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     figure = Figure(figsize=(12, 8), layout="constrained")
     diagnostics = ["value_loss", "policy_std"]
-    axes = figure.subplot_mosaic([["return"] * 2, diagnostics], height_ratios=(3, 1))
+    axes = figure.subplot_mosaic([["return"] * len(diagnostics), diagnostics], height_ratios=(3, 1))
     for name, ax in axes.items():
         sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
                      alpha=0.4 if name == "return" else 1.0)

@@ -3,9 +3,9 @@
     python tests/benchmark/merge.py runs/HalfCheetah*
 
 A setting is a script with the options in which it differs from the other runs, the steps among
-them. For each: its seeds, mean and standard deviation of their last evaluations; for each pair the
-difference, and p of Welch's t-test (needs scipy). Of a seed that ran twice the later run counts.
-The figure, merged.png, lies beside the folders.
+them. For each, in the order of the folders: its seeds, mean and standard deviation of their last
+evaluations; for each pair the difference, and p of Welch's t-test (needs scipy). Of a seed that ran
+twice the last folder counts. The figure, merged.png, lies beside the folders.
 """
 
 import itertools
@@ -20,7 +20,7 @@ import torch
 def read(folders):
     """All logs, with a column for the setting; runs that have not ended are named and left out."""
     logs, options = [], []
-    for file in sorted(file for folder in folders for file in Path(folder).glob("seed-*.csv")):
+    for file in (file for folder in folders for file in Path(folder).glob("seed-*.csv")):
         log, saved = pd.read_csv(file), torch.load(file.with_suffix(".pt"), weights_only=True)
         if log["env_step"].iloc[-1] < saved["total_steps"]:
             print("left out, as it has not ended:", file)
@@ -40,20 +40,21 @@ def read(folders):
 
 def main(folders):
     logs = read(folders)
-    last = logs.groupby(["setting", "seed"])["eval_return"].last().groupby("setting")
+    last = logs.groupby(["setting", "seed"], sort=False)["eval_return"].last()
+    last = last.groupby("setting", sort=False)  # in the order of the folders
     print(last.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
     try:
         from scipy import stats
         for (one, x), (other, y) in itertools.combinations(last, 2):
-            welch = stats.ttest_ind(x, y, equal_var=False)
+            welch = stats.ttest_ind(y, x, equal_var=False)
             gain, margin = study.interval(welch)
-            print(f"{one} − {other}: {gain:.4g} ± {margin:.2g} (95%), p = {welch.pvalue:.3g}")
+            print(f"{other} − {one}: {gain:.4g} ± {margin:.2g} (95%), p = {welch.pvalue:.3g}")
     except ImportError:
         print("p: needs scipy (pip install scipy)")
     picture, (axis,) = study.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
-    for color, (setting, rows) in enumerate(logs.groupby("setting")):
+    for color, (setting, rows) in enumerate(logs.groupby("setting", sort=False)):
         study.curves(rows, "env_step", axis, y="eval_return", label=setting, color=f"C{color}")
     path = Path(folders[0]).parent / "merged.png"
     picture.savefig(path)
