@@ -76,7 +76,7 @@ def draw(rows):
         axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
         axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0")
         axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, %")
+        axis.set(title=table, xlabel="gain, % (filled: holds by Holm)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
     usual = details.groupby("table")["without"].first()

@@ -38,12 +38,11 @@ def published(key, runs):
         return ""
     mean, std, seeds, sampled, source = PUBLISHED.loc[key]
     ours, digits = runs["sampled" if sampled else "return"], 0 if abs(mean) > 100 else 1
-    below = ", below" if ours.mean() < mean else ""
     if not std > 0:
-        return f"{number(mean, digits)} {source}{below}"
+        return f"{number(mean, digits)} {source}"
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
-    return f"{number(mean, digits)} ± {number(std, digits)} {source}{below}, p = {test.pvalue:.2g}"
+    return f"{number(mean, digits)} ± {number(std, digits)} {source}, p = {test.pvalue:.2g}"
 
 
 def draw(rows):
@@ -52,9 +51,10 @@ def draw(rows):
     picture, panels = study.figure(14.5, 6.5, 2, 5)
     for axis, (options, task) in zip(panels, tasks.items()):
         x = rows[rows["options"] == options].assign(million_steps=rows["steps"] / 1e6)
+        x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", label="_")
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
-        axis.lines[0].set_label("each seed")
-        axis.lines[-1].set_label("mean")
+        for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean in evaluation"):
+            axis.lines[i].set_label(name)
         for same_version, mean in PUBLISHED.loc[task, "mean"].items():
             version, style = ("this version", "--") if same_version else ("older ones", ":")
             axis.axhline(mean, color="black", linestyle=style,
@@ -83,7 +83,7 @@ def draw(rows):
                                   "published, same version", "older versions", "minutes"], ten),
         "three scripts": study.table(["file", "task", "mean ± std", "lowest", "solved from",
                                       "solved", "steps", "seconds"], three),
-        "settings": study.table(["options", "five seeds", "mean", "minutes"], others)}
+        "settings": study.table(["command", "five seeds", "mean", "minutes"], others)}
 
 
 if __name__ == "__main__":
