@@ -5,7 +5,6 @@ measured side by side, as machines differ. The peers take some three hours on tw
 """
 
 import peers
-import seaborn as sns
 import study
 from study import PPO, Job, number
 
@@ -30,7 +29,7 @@ def draw(rows):
     panels, lines = list(panels), []
     for column, task in enumerate(TASKS):
         courses, last, tenth = {}, {}, {}
-        for style, (learner, name) in zip(("-", "--", ":", "-."), LEARNERS.items()):
+        for i, (learner, name) in enumerate(LEARNERS.items()):
             x = ours if learner == "ours" else rows
             x = x[(x["options"] == f"--env-id {task} --total-steps 1e6") & (x["change"] == learner)]
             last[learner] = x.groupby("seed")["return"].last()
@@ -38,14 +37,15 @@ def draw(rows):
             millions = (x["steps"] / 50_000).round() / 20  # means over 50,000 steps
             speed = speeds[f"--env-id {task} --total-steps 32768", name]
             x = x.assign(**{"million steps": millions, "minutes": 1e6 * millions / speed / 60})
-            x = x[millions > 0]
+            x = x[millions > 0].groupby(["seed", "million steps", "minutes"], as_index=False)
+            x = x["return"].mean()
             label = learner if learner == "ours" else f"stable-baselines3, {learner}"
             courses[learner] = x.groupby(["million steps", "minutes"], as_index=False)[
                 "return"].mean()
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
-                sns.lineplot(x, x=unit, y="return", errorbar=("pi", 50), linestyle=style,
-                             linewidth=3, label=label, legend=False, ax=axis)
-                axis.set(title=task, ylabel="return in evaluation")
+                study.curves(x, unit, axis, label=label, color=f"C{i}", title=task)
+                axis.lines[-1].set_linestyle(("-", "--", ":", "-.")[i])
+                axis.get_legend().remove()
         axis.set(xscale="log", xlim=(0.05, 30))
         axis.xaxis.set_major_formatter("{x:g}")
         for learner, course in courses.items():
@@ -57,7 +57,7 @@ def draw(rows):
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     study.save(picture, "ppo_race")
     return {"race": study.table(["task", "learner", "last evaluation", "last tenth", "minutes",
-                                 "ours reaches that at", "it reaches ours at"], lines)}
+                                 "ours reaches its last tenth at", "it reaches ours at"], lines)}
 
 
 if __name__ == "__main__":
