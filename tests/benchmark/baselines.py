@@ -59,7 +59,7 @@ def draw(rows):
     titles = ("variance, relative to none", f"return after {EARLY:,} steps",
               "mean return over a run")
     for axis, title, x in zip(panels, titles, (variance, early, whole)):
-        sns.barplot(x, errorbar=None, color="lightgrey", ax=axis)
+        sns.pointplot(x, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
         sns.swarmplot(x, color="black", ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title)
     study.save(picture, "baselines")

@@ -52,10 +52,10 @@ def draw(rows):
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
         for i, name in (0, "mean in training, where σ falls"), (1, "each seed"), (-1, "mean"):
             axis.lines[i].set_label(name)
-        for same_version, mean in PUBLISHED.loc[task, "mean"].items():
+        for same_version, line in PUBLISHED.loc[task].iterrows():
             version, style = ("this version", "--") if same_version else ("older ones", ":")
-            axis.axhline(mean, color="black", linestyle=style,
-                         label=f"published on {version}, mostly in training")
+            axis.axhline(line["mean"], color=f"C{line['sampled']:d}", linestyle=style,
+                         label=f"published on {version}, in the colour of its kind")
         x = study.last(x)
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
