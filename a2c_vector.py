@@ -18,18 +18,18 @@ of an episode. Two neural networks learn:
     the critic  V(s)     what to expect from s on if we follow π: the mean *reward to go*
                          r_t + γ·r_{t+1} + γ²·r_{t+2} + …, in which later rewards count less (γ < 1)
 
-REINFORCE must finish an episode to see what followed each action. A2C, the synchronous form of A3C
-[1], need not: V stands in for the rewards still to come. One update:
+Without V an episode must end before we know what followed each action. In A2C (A3C [1] with all
+environments in step) V stands in for the rewards still to come. One update:
 
   1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that what V has to predict is neither tiny nor huge.
   4. Estimate the advantages A (GAE [2]): how much better each action turned out than what π does on
      average. A + V(s) then estimates the reward to go: the target for V.
-  5. Take one gradient step, on the whole rollout, on
+  5. Take one gradient step to lower, over the whole rollout,
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
-     It makes actions with A > 0 more likely, the others less. The entropy is high where π is
-     undecided; the bonus keeps π from settling on one action before it has tried the others.
+     It makes actions of above-average A more likely, the others less. The entropy is high while π
+     is undecided; the bonus keeps π from settling on one action before it has tried the others.
   6. Update the statistics that normalise observations. Throw the rollout away, start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
@@ -103,7 +103,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # Spread below 1e-8 of the mean is neglected; the floor avoids dividing by 0.
+        # A spread below 1e-8 of the mean is rounding; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -115,8 +115,7 @@ class RunningStatistics(nn.Module):
         """
         self.count += len(rows)
         rows, w = rows.double(), len(rows) / self.count.item()
-        between = (1 - w) * (rows.mean(0) - self.mean) ** 2
-        self.var.lerp_(rows.var(0, correction=0) + between, w)
+        self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
 
 
@@ -178,7 +177,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 the values in between cancel and, n steps from the end of the sum,
+    of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
@@ -211,7 +210,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, max_grad_norm):
     """5. One gradient step on all B samples of a rollout. Returns metrics."""
-    # Standardised, so that the actor's step does not depend on the size of the rewards.
+    # Standardised, so that c and the clipping suit rewards of any size.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -233,8 +232,8 @@ class RandomPhysics(gym.Wrapper):
 
     An agent is often meant for a world that we know only roughly, say a robot that is trained in a
     simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
-    observe φ, so one policy has to do for all moons. Ten agents of each kind, mean ± std over them
-    of `--watch AGENT.pt --seed 99 --eval-episodes 100`, with or without `--randomize`:
+    observe φ, so one policy has to do for all moons. Returns (mean ± std over ten agents) by
+    `--watch AGENT.pt --seed 99 --eval-episodes 100`, without and with `--randomize`:
 
         trained             usual moon    random moons
         as usual            249 ± 17      199 ± 28
@@ -295,7 +294,7 @@ def train(index, args, folder):
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
-        # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
+        # How well V predicted its targets, up to a constant: 1 is perfect, 0 or less useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -354,7 +353,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
 
 
@@ -385,7 +384,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        return self.env.reset(seed=seed, options=options or None)[0], {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # {} is left of a mask
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)

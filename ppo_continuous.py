@@ -105,7 +105,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # Spread below 1e-8 of the mean is neglected; the floor avoids dividing by 0.
+        # A spread below 1e-8 of the mean is rounding; the floor avoids dividing by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -117,8 +117,7 @@ class RunningStatistics(nn.Module):
         """
         self.count += len(rows)
         rows, w = rows.double(), len(rows) / self.count.item()
-        between = (1 - w) * (rows.mean(0) - self.mean) ** 2
-        self.var.lerp_(rows.var(0, correction=0) + between, w)
+        self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
 
 
@@ -135,7 +134,7 @@ def squash(actions, space):
     """Map actions (N, K) of any size into the bounds of the action space.
 
     PPO takes this as a part of the environment: a is the action as drawn, and π(a|s) its density.
-    (That of the squashed action has one more factor, the same for π and π_old: it cancels in ρ.)
+    (That of the squashed action has one more factor, in π as in π_old: it cancels in ρ.)
     """
     share = (np.tanh(actions) + 1) / 2
     inside = (1 - share) * space.low + share * space.high
@@ -179,7 +178,7 @@ def rollout(envs, agent, obs, num_steps):
 
 
 def scale_rewards(rewards, done, past_rewards, stats, gamma):
-    """3. Divide rewards (T, N) by the standard deviation of the sums
+    """3. Divide rewards (T, N) by the standard deviation, so far, of the sums
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
@@ -209,7 +208,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 the values in between cancel and, n steps from the end of the sum,
+    of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
@@ -225,8 +224,8 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    in one state. The sum of these over the states that π_old meets, weighted by γ^t, is nearly the
-    gain in discounted return while π is near π_old (Kakade and Langford 2002). So raise E[ρ·A].
+    in one state. Summed with weights γ^t over the states that π_old meets, it is nearly the gain in
+    discounted return while π is near π_old (Kakade and Langford 2002). PPO drops γ^t: raise E[ρ·A].
     At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Farther away the
     estimate gets worse, so a sample drops out once ρ has gone far enough in the direction of A:
 
@@ -259,12 +258,11 @@ def optimise(agent, optimizer, samples, epochs, minibatch_size, clip_eps, max_kl
         log_ratio = agent.policy(obs).log_prob(actions) - old_log_probs
         ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
         A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # now A > 0: above the minibatch's mean
-        loss_pi = policy_loss(ratio, A, clip_eps)
         loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
-        if kl > max_kl:  # not sooner, as the losses are logged
+        if kl > max_kl:  # not sooner, as loss_v is logged
             break
         optimizer.zero_grad()
-        (loss_pi + loss_v).backward()  # no shared weights, so the losses do not interfere
+        (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # no shared weights: no interference
         optimizer.step()
     return {"value_loss": loss_v.item(), "kl": kl.item(),
             "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
@@ -313,7 +311,7 @@ def train(index, args, folder):
 
         if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
             raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
-        # How well V predicted its targets, up to a constant: 1 is perfect, 0 is useless.
+        # How well V predicted its targets, up to a constant: 1 is perfect, 0 or less useless.
         metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
         env_step += rewards.numel()
         bar.update(min(env_step, args.total_steps) - bar.n)
@@ -373,7 +371,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
 
 
@@ -404,7 +402,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        return self.env.reset(seed=seed, options=options or None)[0], {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # {} is left of a mask
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)

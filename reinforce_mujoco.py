@@ -34,7 +34,7 @@ learns by trial and error: actions followed by high rewards become more likely.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
-order of 1) and, at a time limit, V(s_T) for the rewards that would have followed [3].
+order of 1) and, with any baseline, V(s_T) for the rewards that a time limit cuts off [3].
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -105,7 +105,7 @@ def play(env, agent):
     """1. One episode of T steps.
 
     Returns observations (T, D), actions (T, K) as drawn (the environment clips them to its bounds),
-    T rewards, and what may still have followed: 0 if the episode ended for good (the pole fell),
+    T rewards, and G_T, the value after them: 0 if the episode ended for good (the pole fell),
     V(s_T) if a time limit cut it off.
     """
     all_obs, actions, rewards, done = [], [], [], False
@@ -144,7 +144,7 @@ def policy_loss(log_probs, advantages):
 
         ∇E[G] = ∫ ∇π(a)·G(a) da
               = ∫ π(a)·∇log π(a)·G(a) da        because ∇log π = ∇π/π
-              = E[G·∇log π(a)]                  an average over π's own actions: so play!
+              = E[G·∇log π(a)]                  an average over π's own actions: play!
 
     *An episode* τ is many decisions. With p for the environment, its probability is
 
@@ -162,12 +162,12 @@ def policy_loss(log_probs, advantages):
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
     Without a baseline, positive rewards push up every action that was tried; a bad one loses only
-    because others gain more, as probabilities sum to 1. With b ≈ V it is pushed down: less noise.
+    because others gain more, as probabilities sum to 1. With b ≈ V its A < 0 pushes it down itself.
 
-    The loss has this gradient, with A constant, and a minus as optimisers descend, except that
-      - dividing by steps, not episodes, makes the gradient smaller, the longer the episodes;
+    The loss, with A constant, has this gradient on average (minus: optimisers descend), except that
+      - the mean is over steps, not episodes, which shrinks it where episodes are long;
       - γ < 1, and b = mean(G), which depends on a_t a little, accept some bias for less noise;
-      - V(s_T) stands for rewards beyond the time limit, which the return lacks.
+      - V(s_T) adds rewards beyond a time limit, which the return does not count.
     """
     return -(advantages * log_probs).mean()
 
@@ -265,12 +265,12 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
 
 
 def make_env(env_id, **kwargs):
-    """One environment, which clips actions to its bounds. NaN or infinity: ValueError."""
+    """One environment, which clips actions to its bounds. ValueError if it shows NaN or inf."""
     try:
         env = gym.make(env_id, **kwargs)
     except (gym.error.Error, ImportError) as error:
@@ -294,7 +294,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        return self.env.reset(seed=seed, options=options or None)[0], {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # {} is left of a mask
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
