@@ -50,12 +50,12 @@ def draw(rows):
         x = x.assign(million_steps=x["steps"] / 1e6)
         x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", label="_")
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
-        for i, name in (0, "mean in training, where σ falls"), (1, "each seed"), (-1, "mean"):
+        for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean"):
             axis.lines[i].set_label(name)
         for same_version, line in PUBLISHED.loc[task].iterrows():
-            version, style = ("this version", "--") if same_version else ("older ones", ":")
+            version, style = ("this version", "--") if same_version else ("older versions", ":")
             axis.axhline(line["mean"], color=f"C{line['sampled']:d}", linestyle=style,
-                         label=f"published on {version}, in the colour of its kind")
+                         label=f"published, {version} (orange: in training)")
         x = study.last(x)
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
