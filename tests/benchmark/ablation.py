@@ -45,7 +45,6 @@ def holm(p_values, level=0.05):
 def effects(rows):
     """A row for each change: what the seeds gain, in percent of the mean without it."""
     from scipy import stats
-
     found, rows = [], rows.groupby(study.KEYS)
     returns, fit = rows["return"].last().unstack(), rows["explained_variance"].mean().unstack()
     for table, (*_, changes) in TABLES.items():
@@ -74,16 +73,17 @@ def draw(rows):
     for axis, table in zip(panels, texts):
         x = details[details["table"] == table].set_index("change").loc[order[::-1]]
         axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
-        axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0")
+        axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
         axis.set(title=table, xlabel="gain, % (filled: holds by Holm)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
+    answers = answers.assign(p=answers["p"].map("{:.2g}".format))
     usual = details.groupby("table")["without"].first()
     lines = [["as it is", *usual], *texts.reset_index().to_numpy()]
     return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(
-        ["", "change", "without", "with", "explained variance without, with", "gain, %"],
-        answers[["table", "change", "without", "with it", "fits", "text"]].to_numpy())}
+        ["", "change", "without", "with", "explained variance without, with", "gain, %", "p"],
+        answers[["table", "change", "without", "with it", "fits", "text", "p"]].to_numpy())}
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ def draw(rows):
         x = x.assign(million_steps=x["steps"] / 1e6)
         x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", label="_")
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
-        for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean"):
+        for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean in evaluation"):
             axis.lines[i].set_label(name)
         for same_version, line in PUBLISHED.loc[task].iterrows():
             version, style = ("this version", "--") if same_version else ("older versions", ":")
