@@ -44,7 +44,7 @@ def draw(rows):
             courses[learner] = x.groupby(["million steps", "minutes"], as_index=False)[
                 "return"].mean()
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
-                study.curves(x, unit, axis, label=label, color=f"C{i}", title=task)
+                study.curves(x, unit, axis, label=label, color=f"C{i if i < 3 else 4}", title=task)
                 axis.lines[-1].set_linestyle(("-", "--", ":", "-.")[i])
                 axis.get_legend().remove()
         axis.set(xscale="log", xlim=(0.05, 30))
@@ -55,7 +55,8 @@ def draw(rows):
             lines.append([task, learner, study.spread(last[learner]), study.spread(tenth[learner]),
                           number(course["minutes"].iloc[-1], 1),
                           *(passages if learner != "ours" else ("", ""))])
-    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
+                   title="thick: mean; thin: each seed")
     study.save(picture, "ppo_race")
     return {"race": study.table(["task", "learner", "last evaluation", "last tenth", "minutes",
                                  "ours passes it at", "it passes ours at"], lines)}

@@ -48,7 +48,7 @@ def draw(rows):
     for axis, task in zip(panels, TASKS):
         x = rows[rows["options"] == f"--env-id {task} {MILLION}"]
         x = x.assign(million_steps=x["steps"] / 1e6)
-        x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", label="_")
+        x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", lw=3, label="_")
         study.curves(x, "million_steps", axis, title=task.removesuffix("-v5"))
         for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean in evaluation"):
             axis.lines[i].set_label(name)
@@ -80,7 +80,7 @@ def draw(rows):
         "ten tasks": study.table(["task", "mean ± std", "lowest", "in training",
                                   "published, same version", "older versions", "minutes"], ten),
         "ten tasks in short": study.table(
-            ["task", "mean ± std", "lowest", "in training", "published", "minutes"], short),
+            ["task", "evaluation", "lowest", "in training", "published [from]", "minutes"], short),
         "three scripts": study.table(["file", "task", "mean ± std", "lowest", "solved from",
                                       "solved", "steps", "seconds"], three),
         "settings": study.table(["command", "five seeds", "mean", "minutes"], others)}
