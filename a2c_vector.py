@@ -125,7 +125,7 @@ def mlp(inputs, hidden, outputs, last_gain):
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2]).float()
+    return nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
 
 
 # --- An update, point by point --------------------------------------------------------------------

@@ -75,7 +75,7 @@ class Agent(nn.Module):
         self.obs_stats = RunningStatistics(inputs)
         self.actor = mlp(inputs, hidden_size, outputs, last_gain=0.01)
         self.critic = mlp(inputs, hidden_size, 1, last_gain=1.0)
-        self.register_buffer("sigma", torch.ones(outputs, dtype=torch.float32))  # set by `train`
+        self.register_buffer("sigma", torch.ones(outputs))  # set by `train`
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
@@ -127,7 +127,7 @@ def mlp(inputs, hidden, outputs, last_gain):
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
 def squash(actions, space):

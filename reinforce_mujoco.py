@@ -95,7 +95,7 @@ def mlp(inputs, hidden, outputs, last_gain):
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
-    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2]).float()
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
 # --- An update, point by point --------------------------------------------------------------------
@@ -126,7 +126,7 @@ def sum_rewards(rewards, last_value, gamma):
     for reward in reversed(rewards):
         G = reward + gamma * G
         rewards_to_go.append(G)
-    return torch.tensor(rewards_to_go[::-1], dtype=torch.float32)
+    return torch.tensor(rewards_to_go[::-1])
 
 
 def compute_advantages(rewards_to_go, values, baseline):

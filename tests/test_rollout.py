@@ -280,19 +280,6 @@ def test_a_weight_that_is_not_finite_ends_a_training(script, monkeypatch):
               "--total-steps", 30)
 
 
-@pytest.fixture
-def double_by_default():
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(torch.float32)
-
-
-def test_a_default_dtype_of_float64_does_not_matter(script, double_by_default, tmp_path):
-    path = script.train(tmp_path, env_id=script.world("ThreeSteps"))
-    agent = script.load_agent(path)
-    assert {p.dtype for p in agent.parameters()} == {torch.float32}
-
-
 PLACES = {  # a method of the world, its step in all, its step in the episode
     "reward": ("reward", 2, 2), "observation": ("observe", 2, 2),
     "last of an episode": ("observe", 3, 3), "first of the next": ("observe", 3, 0),

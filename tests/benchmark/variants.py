@@ -26,7 +26,7 @@ CHANGES = {
     "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
     "learning-rate-constant": (PPO, [('["lr"] = remaining * args', '["lr"] = args')]),
     "sigma-learned": (PPO, [
-        ('self.register_buffer("sigma", torch.ones(outputs, dtype=torch.float32))',
+        ('self.register_buffer("sigma", torch.ones(outputs))',
          'self.log_sigma = nn.Parameter(torch.full((outputs,), 0.6).log())'),
         ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
         ("        agent.sigma.fill_(remaining * args.first_std + "
