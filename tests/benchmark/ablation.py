@@ -54,7 +54,7 @@ def effects(rows):
             x = returns.loc[key]
             test = stats.ttest_1samp(100 * (x - usual) / usual.mean(), 0)
             gain, margin = study.interval(test)
-            idle = f" ({sum(x == usual)} seeds unchanged)" if any(x == usual) else ""
+            idle = f" ({sum(x == usual)} unchanged)" if any(x == usual) else ""
             fits = f"{fit.loc[job(table)[:3]].mean():.2g}, {fit.loc[key].mean():.2g}"
             found.append([table, change, gain, margin, test.pvalue, study.spread(usual),
                           study.spread(x), fits, f"{number(gain)} ± {number(margin)}{idle}"])

@@ -4,7 +4,7 @@ import importlib
 
 import study
 
-STUDIES = "returns", "race", "speed", "baselines", "robustness"
+STUDIES = "returns", "race", "speed", "baselines", "robustness", "ablation"
 
 
 def tables():
