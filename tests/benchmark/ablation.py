@@ -80,7 +80,7 @@ def draw(rows):
     answers = found[~found["change"].isin(DETAILS)]
     answers = answers.assign(p=answers["p"].map("{:.2g}".format))
     usual = details.groupby("table")["without"].first()
-    lines = [["as it is", *usual], *texts.reset_index().to_numpy()]
+    lines = [["return as it is", *usual], *texts.reset_index().to_numpy()]
     return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(
         ["", "change", "without", "with", "explained variance without, with", "gain, %", "p"],
         answers[["table", "change", "without", "with it", "fits", "text", "p"]].to_numpy())}
