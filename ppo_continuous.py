@@ -402,7 +402,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:  # some environments draw from their spaces
             self.observation_space.seed(seed)
             self.action_space.seed(seed)
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # {} is left of a mask
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)

@@ -70,6 +70,8 @@ def play(script, weights, steps, words):
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     script, path = sys.argv[1:]
     trained = torch.load(path, weights_only=True)["agent"]
     before, after = (play(script, weights, *scene)

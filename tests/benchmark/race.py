@@ -22,6 +22,16 @@ def reach(course, goal):
     return "never"
 
 
+def lead(returns, learner):
+    """What ours has more, and p of Welch's test."""
+    from scipy import stats
+    if learner == "ours":
+        return ""
+    test = stats.ttest_ind(returns["ours"], returns[learner], equal_var=False)
+    gain, margin = study.interval(test)
+    return f"{number(gain)} ± {number(margin)}, p = {test.pvalue:.2g}"
+
+
 def draw(rows):
     ours, speeds = study.read("returns"), study.read("speed")
     ours = ours[(ours["script"] == PPO) & (ours["change"] == "")].assign(change="ours")
@@ -30,7 +40,8 @@ def draw(rows):
     panels, lines = list(panels), []
     for column, task in enumerate(TASKS):
         courses, last, tenth = {}, {}, {}
-        for i, (learner, name) in enumerate(LEARNERS.items()):
+        styles = ("C0", "-"), ("C1", "--"), ("C2", ":"), ("C4", "-.")
+        for (color, style), (learner, name) in zip(styles, LEARNERS.items()):
             x = ours if learner == "ours" else rows
             x = x[(x["options"] == f"--env-id {task} --total-steps 1e6") & (x["change"] == learner)]
             last[learner] = x.groupby("seed")["return"].last()
@@ -44,22 +55,24 @@ def draw(rows):
             courses[learner] = x.groupby(["million steps", "minutes"], as_index=False)[
                 "return"].mean()
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
-                study.curves(x, unit, axis, label=label, color=f"C{i if i < 3 else 4}", title=task)
-                axis.lines[-1].set_linestyle(("-", "--", ":", "-.")[i])
+                study.curves(x, unit, axis, label=label, color=color, title=task)
+                axis.lines[-1].set_linestyle(style)
                 axis.get_legend().remove()
         axis.set(xscale="log", xlim=(0.05, 30))
         axis.xaxis.set_major_formatter("{x:g}")
         for learner, course in courses.items():
             passages = (reach(courses["ours"], tenth[learner].mean()),
                         reach(course, tenth["ours"].mean()))
-            lines.append([task, learner, study.spread(last[learner]), study.spread(tenth[learner]),
+            lines.append([task, learner, study.spread(last[learner]), lead(last, learner),
+                          study.spread(tenth[learner]), lead(tenth, learner),
                           number(course["minutes"].iloc[-1], 1),
                           *(passages if learner != "ours" else ("", ""))])
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
                    title="thick: mean; thin: each seed")
     study.save(picture, "ppo_race")
-    return {"race": study.table(["task", "learner", "last evaluation", "last tenth", "minutes",
-                                 "ours passes it at", "it passes ours at"], lines)}
+    return {"race": study.table(["task", "learner", "last evaluation", "ours − it", "last tenth",
+                                 "ours − it", "minutes", "ours passes it at",
+                                 "it passes ours at"], lines)}
 
 
 if __name__ == "__main__":
