@@ -8,12 +8,11 @@ import pandas as pd
 import study
 from study import A2C, PPO, Job, number
 
-DETAILS = [  # of PPO: options, or one of `variants`
-    "--clip-eps 1e9", "--max-kl 1e9", "--clip-eps 1e9 --max-kl 1e9", "--last-std 0.6",
-    "sigma-learned", "learning-rate-constant", "advantages-not-standardised",
-    "observations-not-normalised", "rewards-not-scaled", "no-tanh", "last-layer-not-small",
-    "time-limits-as-deaths",
-]
+NAMES = {"--clip-eps 1e9": "no clip", "--max-kl 1e9": "no KL limit", "--last-std 0.6": "σ constant",
+         "--clip-eps 1e9 --max-kl 1e9": "neither clip nor KL limit", "sigma-learned": "σ learned"}
+DETAILS = [*NAMES, "learning-rate-constant", "advantages-not-standardised", "no-tanh",
+           "observations-not-normalised", "rewards-not-scaled", "last-layer-not-small",
+           "time-limits-as-deaths"]  # of PPO: options, and some of `variants`
 TABLES = {  # a script on a task: options, changes
     "HalfCheetah": (PPO, "--env-id HalfCheetah-v5 --total-steps 3e5",
                     [*DETAILS, "--epochs 1", "--epochs 1 --minibatch-size 52",
@@ -26,9 +25,8 @@ TABLES = {  # a script on a task: options, changes
 
 def job(table, change="", seed=0):
     script, options, _ = TABLES[table]
-    if change.startswith("-"):
-        return Job(script, f"{options} {change}".strip(), "", seed)
-    return Job(script, options, change, seed)
+    typed, changed = (change, "") if change.startswith("-") else ("", change)
+    return Job(script, f"{options} {typed}".strip(), changed, seed)
 
 
 JOBS = [job(table, change, seed) for seed in range(81, 89) for table in TABLES
@@ -56,17 +54,19 @@ def effects(rows):
             gain, margin = study.interval(test)
             idle = f" ({sum(x == usual)} unchanged)" if any(x == usual) else ""
             fits = f"{fit.loc[job(table)[:3]].mean():.2g}, {fit.loc[key].mean():.2g}"
-            found.append([table, change, gain, margin, test.pvalue, study.spread(usual),
-                          study.spread(x), fits, f"{number(gain)} ± {number(margin)}{idle}"])
+            found.append([
+                table, change, gain, margin, test.pvalue, study.p_value(test), study.spread(usual),
+                study.spread(x), fits, f"{number(gain)} ± {number(margin)}{idle}"])
     found = pd.DataFrame(found, columns=[
-        "table", "change", "gain", "margin", "p", "without", "with it", "fits", "text"])
-    return found.assign(holds=holm(found["p"]))
+        "table", "change", "gain", "margin", "p-value", "p", "without", "with it", "fits", "text"])
+    return found.assign(holds=holm(found["p-value"]))
 
 
 def draw(rows):
     found = effects(rows)
     found["text"] = found["text"].mask(found["holds"], "**" + found["text"] + "**")
-    details = found[found["change"].isin(DETAILS)]
+    details = found[found["change"].isin(DETAILS)].replace({"change": NAMES})
+    details["change"] = details["change"].str.replace("-", " ")
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="text").loc[order]
     picture, panels = study.figure(14, 6, 1, 3, sharey=True)
@@ -75,10 +75,10 @@ def draw(rows):
         axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
         axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, % (filled: holds by Holm)")
+        axis.set(title=table, xlabel="gain, %")
+    picture.suptitle(f"{details['holds'].sum()} of {len(details)} effects hold (filled)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
-    answers = answers.assign(p=answers["p"].map("{:.2g}".format))
     usual = details.groupby("table")["without"].first()
     lines = [["return as it is", *usual], *texts.reset_index().to_numpy()]
     return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(

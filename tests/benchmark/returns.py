@@ -30,17 +30,17 @@ JOBS = [
 
 
 def published(key, runs):
-    """As text, with p of Welch's test against ours, of the same kind, if the spread is known."""
+    """As text, and p of Welch's test against ours, of the same kind, if the spread is known."""
     from scipy import stats
     if key not in PUBLISHED.index:
-        return ""
+        return "", ""
     mean, std, seeds, sampled, source = PUBLISHED.loc[key]
     ours, digits = runs["sampled" if sampled else "return"], 0 if abs(mean) > 100 else 1
     if not std > 0:
-        return f"{number(mean, digits)} {source}"
+        return f"{number(mean, digits)} {source}", ""
     test = stats.ttest_ind_from_stats(
         ours.mean(), ours.std(), len(ours), mean, std, seeds, equal_var=False)
-    return f"{number(mean, digits)} ± {number(std, digits)} {source}, p = {test.pvalue:.2g}"
+    return f"{number(mean, digits)} ± {number(std, digits)} {source}", study.p_value(test)
 
 
 def draw(rows):
@@ -61,9 +61,9 @@ def draw(rows):
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
                     number(x["sampled"].mean(), digits),
-                    published((task, True), x), published((task, False), x),
+                    *published((task, True), x), *published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
-    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=5)
     study.save(picture, "ppo_returns")
     for script in REINFORCE, A2C, PPO:
         x = final[(final["options"] == HUNDRED) & (final["script"] == script)]
@@ -75,10 +75,10 @@ def draw(rows):
     for options, x in final[final["options"].isin(SETTINGS)].groupby("options"):
         others.append([f"`python {SETTINGS[options][0]} {options}`", study.every(x["return"]),
                        number(x["return"].mean()), number(x["seconds"].median() / 60, 1)])
-    short = [[*line[:4], line[4].split(", p")[0], line[6]] for line in ten]
+    short = [[*line[:5], line[-1]] for line in ten]
     return {
-        "ten tasks": study.table(["task", "mean ± std", "lowest", "in training",
-                                  "published, same version", "older versions", "minutes"], ten),
+        "ten tasks": study.table(["task", "evaluation", "lowest", "in training", "published", "p",
+                                  "older versions", "p", "minutes"], ten),
         "ten tasks in short": study.table(
             ["task", "evaluation", "lowest", "in training", "published [from]", "minutes"], short),
         "three scripts": study.table(["file", "task", "mean ± std", "lowest", "solved from",

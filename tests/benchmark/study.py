@@ -145,6 +145,10 @@ def every(values, digits=0):
     return ", ".join(number(x, digits) for x in values)
 
 
+def p_value(test):
+    return "< 0.001" if test.pvalue < 0.001 else f"{test.pvalue:.2g}"
+
+
 def interval(test):
     """Middle and half the width of the 95% interval of one of scipy's t-tests."""
     low, high = test.confidence_interval()
