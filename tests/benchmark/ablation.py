@@ -69,14 +69,14 @@ def draw(rows):
     details["change"] = details["change"].str.replace("-", " ")
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="text").loc[order]
-    picture, panels = study.figure(14, 6, 1, 3, sharey=True)
+    picture, panels = study.figure(11, 5, 1, 3, sharex=True, sharey=True)
     for axis, table in zip(panels, texts):
         x = details[details["table"] == table].set_index("change").loc[order[::-1]]
         axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
         axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, %")
-    picture.suptitle(f"{details['holds'].sum()} of {len(details)} effects hold (filled)")
+        axis.set(title=table, xlabel="gain, % (bars: 95%)")
+    picture.suptitle(f"{details['holds'].sum()} of {len(details)} effects are certain (filled)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
     usual = details.groupby("table")["without"].first()

@@ -46,6 +46,7 @@ def gradient(module, agent, baseline, obs, actions, rewards_to_go):
 
 
 def draw(rows):
+    from scipy import stats
     noise = study.last(rows[rows["options"] == NOISE])
     variance, early, whole, lines = {}, {}, {}, []
     for name in BASELINES:
@@ -53,18 +54,21 @@ def draw(rows):
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
         early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
         whole[name] = runs["return"].mean()
-        lines.append([f"`{name}`", study.spread(variance[name], 2), study.spread(early[name]),
-                      study.spread(whole[name]), study.every(runs["return"].last())])
-    picture, panels = study.figure(14, 4, 1, 3)
-    titles = ("variance, relative to none", f"return after {EARLY:,} steps",
-              "mean return over a run")
+        tests = [stats.ttest_ind(x[name], x["none"], equal_var=False) for x in (early, whole)]
+        p_values = [study.p_value(test) if name != "none" else "" for test in tests]
+        lines.append([f"`{name}`", study.spread(variance[name], 2),
+                      study.spread(early[name]), p_values[0], study.spread(whole[name]),
+                      p_values[1], study.every(runs["return"].last())])
+    picture, panels = study.figure(11, 4, 1, 3)
+    titles = "variance, none = 1", f"return after {EARLY:,} steps", "mean return over a run"
     for axis, title, x in zip(panels, titles, (variance, early, whole)):
         sns.pointplot(x, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
         sns.swarmplot(x, color="black", ax=axis)
-        axis.set(xlabel="--baseline", ylabel="", title=title)
+        axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
+    picture.suptitle("dots: seeds; lines: their means")
     study.save(picture, "baselines")
-    return {"baselines": study.table(
-        ["`--baseline`", *titles, "at the end, every seed"], lines)}
+    header = ["`--baseline`", *titles[:2], "p", titles[2], "p", "at the end, every seed"]
+    return {"baselines": study.table(header, lines)}
 
 
 if __name__ == "__main__":

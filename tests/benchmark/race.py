@@ -36,8 +36,8 @@ def draw(rows):
     ours, speeds = study.read("returns"), study.read("speed")
     ours = ours[(ours["script"] == PPO) & (ours["change"] == "")].assign(change="ours")
     speeds = speeds.groupby(["options", "learner"])["speed"].median()
-    picture, panels = study.figure(14, 8, 2, len(TASKS), sharey="col")
-    panels, lines = list(panels), []
+    picture, panels = study.figure(11, 7, 2, len(TASKS), sharey="col")
+    lines = []
     for column, task in enumerate(TASKS):
         courses, last = {}, {}
         styles = ("C0", "-"), ("C1", "--"), ("C2", ":"), ("C4", "-.")
@@ -58,19 +58,20 @@ def draw(rows):
                 axis.set(title=task, xlabel=unit, ylabel="return")
             strip = [1 + 0.03 * len(last)] * len(last[learner])
             panels[column].plot(strip, last[learner], ".", color=color)
-        axis.set(xscale="log", xlim=(0.05, 30))
+        axis.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale)")
         axis.xaxis.set_major_formatter("{x:g}")
         for learner, course in courses.items():
             passages = (reach(courses["ours"], last[learner].mean()),
                         reach(course, last["ours"].mean()))
-            lines.append([task, learner, study.spread(last[learner]), *lead(last, learner),
+            label = learner if learner == "ours" else f"sb3, {learner}"
+            lines.append([task, label, study.spread(last[learner]), *lead(last, learner),
                           number(course["minutes"].iloc[-1], 1),
                           *(passages if learner != "ours" else ("", ""))])
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
-                   title="lines: means over seeds; dots: each seed at the end")
+                   handlelength=4, title="lines: means; dots, in this order: each seed at the end")
     study.save(picture, "ppo_race")
     return {"race": study.table(["task", "learner", "return", "ours − it", "p", "minutes",
-                                 "ours reaches its at", "it reaches ours at"], lines)}
+                                 "ours reaches its return at", "it reaches ours at"], lines)}
 
 
 if __name__ == "__main__":

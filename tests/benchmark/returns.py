@@ -1,7 +1,4 @@
-"""How high do the returns get, and how often does a run fail?
-
-PPO on ten tasks, all scripts as they are, options for other tasks. Three hours on two cores.
-"""
+"""How high do the returns get, and how often does a run fail? Four hours on two cores."""
 
 import gymnasium as gym
 import study
@@ -45,7 +42,7 @@ def published(key, runs):
 
 def draw(rows):
     ten, three, others, final = [], [], [], study.last(rows)
-    picture, panels = study.figure(14.5, 6.5, 2, 5)
+    picture, panels = study.figure(10, 8, 3, 4, count=len(TASKS))
     for axis, task in zip(panels, TASKS):
         x = rows[rows["options"] == f"--env-id {task} {MILLION}"]
         x = x.assign(million_steps=x["steps"] / 1e6)
@@ -54,16 +51,17 @@ def draw(rows):
         for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean in evaluation"):
             axis.lines[i].set_label(name)
         for same_version, line in PUBLISHED.loc[task].iterrows():
-            version, style = ("this version", "--") if same_version else ("older versions", ":")
-            axis.axhline(line["mean"], color=f"C{line['sampled']:d}", linestyle=style,
-                         label=f"published, {version} (orange: in training)")
+            axis.errorbar(1.1 if same_version else 1.2, line["mean"], line["std"], capsize=4,
+                          fmt="s" if same_version else "^", color=f"C{line['sampled']:d}",
+                          label=f"published, {'this' if same_version else 'an older'} version")
         x = study.last(x)
         returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
         ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
                     number(x["sampled"].mean(), digits),
                     *published((task, True), x), *published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
-    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    picture.legend(*axis.get_legend_handles_labels(), loc="lower right",
+                   title="orange: sampled actions; blue: evaluation")
     study.save(picture, "ppo_returns")
     for script in REINFORCE, A2C, PPO:
         x = final[(final["options"] == HUNDRED) & (final["script"] == script)]

@@ -75,13 +75,13 @@ def draw(rows):
         lines.append([f"`{script}`", options.split()[1], number(x["ours"].median()), *(
             f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if ratio.any() else ""
             for _, ratio in ratios.iterrows())])
-    header = ["script", "task", "steps a second", "ratio to stepping alone",
-              *(f"to {name}" for name in PEERS)]
+    header = ["script", "task", "steps a second", "÷ stepping alone", "÷ sb3, defaults",
+              "÷ sb3, 8 environments", "÷ sb3, our sizes", "÷ sb3, zoo"]
     ours = speeds.groupby("options")["ours"].median()
     crowds = [[name, *(number(ours[CROWDS[kind, count]]) for count in COUNTS)]
               for kind, name in KINDS.items()]
     return {"speed": study.table(header, lines),
-            "scaling": study.table(["steps a second in", *COUNTS], crowds)}
+            "scaling": study.table(["steps a second with environments", *COUNTS], crowds)}
 
 
 if __name__ == "__main__":

@@ -160,10 +160,14 @@ def last(rows):
     return rows.groupby(KEYS, sort=False).last().reset_index()
 
 
-def figure(width, height, *shape, **options):
+def figure(width, height, rows=1, columns=1, count=None, **options):
+    """A picture with `count` panels, at most rows·columns."""
     sns.set_theme(style="whitegrid", palette="colorblind")
     picture = Figure(figsize=(width, height), layout="constrained")
-    return picture, picture.subplots(*shape, squeeze=False, **options).flat
+    panels = picture.subplots(rows, columns, squeeze=False, **options).flat
+    for panel in panels[count or len(panels) :]:
+        panel.remove()
+    return picture, panels[:count]
 
 
 def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
