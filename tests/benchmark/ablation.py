@@ -43,22 +43,19 @@ def holm(p_values, level=0.05):
 def effects(rows):
     """A row for each change: what the seeds gain, in percent of the mean without it."""
     from scipy import stats
-    found, rows = [], rows.groupby(study.KEYS)
-    returns, fit = rows["return"].last().unstack(), rows["explained_variance"].mean().unstack()
+    found, returns = [], rows.groupby(study.KEYS)["return"].last().unstack()
     for table, (*_, changes) in TABLES.items():
         usual = returns.loc[job(table)[:3]]
         for change in changes:
-            key = job(table, change)[:3]
-            x = returns.loc[key]
+            x = returns.loc[job(table, change)[:3]]
             test = stats.ttest_1samp(100 * (x - usual) / usual.mean(), 0)
             gain, margin = study.interval(test)
             idle = f" ({sum(x == usual)} unchanged)" if any(x == usual) else ""
-            fits = f"{fit.loc[job(table)[:3]].mean():.2g}, {fit.loc[key].mean():.2g}"
             found.append([
                 table, change, gain, margin, test.pvalue, study.p_value(test), study.spread(usual),
-                study.spread(x), fits, f"{number(gain)} ± {number(margin)}{idle}"])
+                study.spread(x), f"{number(gain)} ± {number(margin)}{idle}"])
     found = pd.DataFrame(found, columns=[
-        "table", "change", "gain", "margin", "p-value", "p", "without", "with it", "fits", "text"])
+        "table", "change", "gain", "margin", "p-value", "p", "without", "with it", "text"])
     return found.assign(holds=holm(found["p-value"]))
 
 
@@ -82,8 +79,8 @@ def draw(rows):
     usual = details.groupby("table")["without"].first()
     lines = [["return as it is", *usual], *texts.reset_index().to_numpy()]
     return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(
-        ["", "change", "without", "with", "explained variance without, with", "gain, %", "p"],
-        answers[["table", "change", "without", "with it", "fits", "text", "p"]].to_numpy())}
+        ["", "change", "without", "with", "gain, %", "p"],
+        answers[["table", "change", "without", "with it", "text", "p"]].to_numpy())}
 
 
 if __name__ == "__main__":
