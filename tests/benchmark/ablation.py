@@ -72,13 +72,13 @@ def draw(rows):
         axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
         axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, % (bars: 95%)")
-    picture.suptitle(f"{details['holds'].sum()} of {len(details)} effects are certain (filled)")
+        axis.set(title=table, xlabel="gain, % (95%, not corrected)")
+    picture.suptitle(f"{details['holds'].sum()} of {len(details)} effects are significant (filled)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
     usual = details.groupby("table")["without"].first()
-    lines = [["return as it is", *usual], *texts.reset_index().to_numpy()]
-    return {"ablation": study.table(["gain, %", *texts], lines), "answers": study.table(
+    lines = [["return as it is (± std)", *usual], *texts.reset_index().to_numpy()]
+    return {"ablation": study.table(["gain, % (95%)", *texts], lines), "answers": study.table(
         ["", "change", "without", "with", "gain, %", "p"],
         answers[["table", "change", "without", "with it", "text", "p"]].to_numpy())}
 

@@ -70,7 +70,7 @@ def draw(rows):
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
                    handlelength=4, title="lines: means; dots, in this order: each seed at the end")
     study.save(picture, "ppo_race")
-    return {"race": study.table(["task", "learner", "return", "ours − it", "p", "minutes",
+    return {"race": study.table(["task", "learner", "return", "ours − it, 95%", "p", "minutes",
                                  "ours reaches its return at", "it reaches ours at"], lines)}
 
 

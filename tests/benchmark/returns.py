@@ -61,7 +61,7 @@ def draw(rows):
                     *published((task, True), x), *published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
     picture.legend(*axis.get_legend_handles_labels(), loc="lower right",
-                   title="orange: sampled actions; blue: evaluation")
+                   title="compare a marker (± std) with the line of its colour")
     study.save(picture, "ppo_returns")
     for script in REINFORCE, A2C, PPO:
         x = final[(final["options"] == HUNDRED) & (final["script"] == script)]
