@@ -27,7 +27,7 @@ VIEWS = {  # options, steps for a frame, milliseconds, camera
     PPO: ("--env-id HalfCheetah-v5", 1, 50, {"camera_name": "track"}),
 }
 SCENES = {  # steps and words, before and after
-    REINFORCE: [(60, "before: the pole falls"), (120, "after 100,000 steps: it stands")],
+    REINFORCE: [(60, "before: the pole falls"), (120, "after: pushed, the pole stands")],
     A2C: [(130, "before: it crashes"), (290, "after a million steps: it lands")],
     PPO: [(30, "before: it twitches"), (70, "after a million steps: it runs")],
 }
@@ -64,6 +64,8 @@ def play(script, weights, steps, words):
             action = action.clip(env.action_space.low, env.action_space.high)
         if script == PPO:
             action = module.squash(action, env.action_space)
+        if script == REINFORCE and weights and step % 40 == 5:
+            env.data.qvel[1] += 1.5 * (-1) ** (step // 40)  # a push, radians a second
         obs, *_ = env.step(action)
     env.close()
     return frames
