@@ -1,4 +1,4 @@
-"""How high do the returns get, and how often does a run fail? Four hours on two cores."""
+"""How high do the returns get, and how often does a run fail? Five hours on two cores."""
 
 import gymnasium as gym
 import study
