@@ -8,7 +8,7 @@ import numpy as np
 import seaborn as sns
 import study
 import torch
-from study import REINFORCE, Job
+from study import REINFORCE, Job, number
 
 BASELINES, EARLY = ("none", "mean", "value"), 30_000
 NOISE = "--total-steps 10000"  # the run for whose policy noise is measured
@@ -58,7 +58,8 @@ def draw(rows):
         p_values = [study.p_value(test) if name != "none" else "" for test in tests]
         lines.append([f"`{name}`", study.spread(variance[name], 2),
                       study.spread(early[name]), p_values[0], study.spread(whole[name]),
-                      p_values[1], study.every(runs["return"].last())])
+                      p_values[1], study.share(runs["return"].last() >= 950),
+                      number(runs["sampled"].last().mean())])
     picture, panels = study.figure(11, 4, 1, 3)
     titles = "variance, none = 1", f"return after {EARLY:,} steps", "mean return over a run"
     for axis, title, x in zip(panels, titles, (variance, early, whole)):
@@ -67,7 +68,7 @@ def draw(rows):
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
     picture.suptitle("dots: seeds; lines: their means")
     study.save(picture, "baselines")
-    header = ["`--baseline`", *titles[:2], "p", titles[2], "p", "at the end, every seed"]
+    header = ["`--baseline`", *titles[:2], "p", titles[2], "p", "solved (95%)", "in training"]
     return {"baselines": study.table(header, lines)}
 
 

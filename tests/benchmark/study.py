@@ -149,6 +149,13 @@ def p_value(test):
     return "< 0.001" if test.pvalue < 0.001 else f"{test.pvalue:.2g}"
 
 
+def share(passed):
+    """How many of how many, and the exact 95% interval of the probability."""
+    from scipy import stats
+    low, high = stats.binomtest(passed.sum(), len(passed)).proportion_ci()
+    return f"{passed.sum()} of {len(passed)} ({low:.0%} to {high:.0%})"
+
+
 def interval(test):
     """Middle and half the width of the 95% interval of one of scipy's t-tests."""
     low, high = test.confidence_interval()
