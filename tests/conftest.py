@@ -1,6 +1,5 @@
 """Fixtures that several test files share: the three scripts, and a finished run of each."""
 
-from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
 from typing import NamedTuple
 
@@ -37,12 +36,12 @@ class Script(NamedTuple):
     def world(self, name, place="harness"):
         return f"{place}:{self.worlds}{name}-v0"
 
-    def envs(self, env_id, count):
-        """Environments that reset themselves."""
+    def envs(self, env_id, count, mode="NextStep"):
+        """Environments; in this mode they reset themselves."""
         if self.name == "reinforce_mujoco":
             return gym.vector.SyncVectorEnv([lambda: self.module.make_env(env_id)] * count)
         randomize = {"randomize": False} if self.name == "a2c_vector" else {}
-        return self.module.make_envs(env_id, count, "NextStep", **randomize)
+        return self.module.make_envs(env_id, count, mode, **randomize)
 
     def train(self, folder, *arguments, seed=3, env_id=None):
         """Train a seed in this process; returns the path of its files, without a suffix."""
@@ -51,13 +50,6 @@ class Script(NamedTuple):
         folder.mkdir(parents=True, exist_ok=True)
         self.module.train(0, args, folder)
         return folder / f"seed-{seed}"
-
-    def load_agent(self, path):
-        """The agent that is saved at `path`, a path without a suffix."""
-        saved = torch.load(f"{path}.pt", weights_only=True)
-        agent = self.module.Agent(self.envs(saved["env_id"], 1), saved["hidden_size"])
-        agent.load_state_dict(saved["agent"])
-        return agent
 
 
 SCRIPTS = {
@@ -90,15 +82,12 @@ def runs(tmp_path_factory):
 
     In it, warnings are errors.
     """
-    places = {name: tmp_path_factory.mktemp(name) for name in SCRIPTS}
-
-    def train(name):
-        script = SCRIPTS[name]
+    finished = {}
+    for name, script in SCRIPTS.items():
+        cwd = tmp_path_factory.mktemp(name)
         arguments = ["--env-id", script.env_id, *script.small, "--seed", *script.seeds]
-        return places[name], run(script.file, *arguments, cwd=places[name], python=STRICT)
-
-    with ThreadPoolExecutor(2) as pool:
-        return dict(zip(SCRIPTS, pool.map(train, SCRIPTS)))
+        finished[name] = cwd, run(script.file, *arguments, cwd=cwd, python=STRICT)
+    return finished
 
 
 @pytest.fixture

@@ -22,7 +22,7 @@ LATER = "DeprecationWarning", "PendingDeprecationWarning", "FutureWarning"
 STRICT = ["-W", "error", *(x for name in LATER for x in ("-W", f"ignore::{name}"))]
 
 
-def start(script, *arguments, cwd, python=(), own_group=False, **environment):
+def start(script, *arguments, cwd, python=(), own_group=False):
     """Start `python script.py arguments` in `cwd`, on a machine without a display.
 
     `own_group`: it and its processes form a process group, as a shell gives them one.
@@ -30,7 +30,6 @@ def start(script, *arguments, cwd, python=(), own_group=False, **environment):
     hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env |= {"PYTHONPATH": str(TESTS), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
-    env |= environment
     command = [sys.executable, *python, str(ROOT / script), *map(str, arguments)]
     return subprocess.Popen(
         command, cwd=cwd, env=env, text=True, encoding="utf-8", start_new_session=own_group,
@@ -140,13 +139,6 @@ class World(gym.Env):
         return {}
 
 
-class Timeless(World):
-    """Does not show when its episodes end."""
-
-    def observe(self):
-        return np.float32([self.episode, 0])
-
-
 class Target(World):
     """One step; the best action is TARGET, its reward 0."""
 
@@ -184,7 +176,8 @@ def register(name, world=World, limit=None, **kwargs):
 register("ThreeSteps")
 register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
-register("Timeless", Timeless, limit=8, length=None)
+timeless = type("Timeless", (World,), {"observe": lambda self: np.float32([self.episode, 0])})
+register("Timeless", timeless, limit=8, length=None)  # does not show when its episodes end
 register("Target", Target, length=1)
 register("Sign", Sign, length=1)
 register("Uneven", Uneven)

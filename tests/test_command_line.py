@@ -7,10 +7,9 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 from conftest import SCRIPTS, only
 from gymnasium.spaces import Box, Dict, Discrete, MultiDiscrete
-from harness import World, register, run, run_folder
+from harness import World, register, run, run_folder, spy
 
 EVERYWHERE = {"seed": [1], "watch": None, "out_dir": "runs", "num_evals": 20, "hidden_size": 64}
 DEFAULTS = {
@@ -68,26 +67,19 @@ WRONG = {  # world: its spaces, the word that says what is wrong
     "Unbounded": ({"actions": Box(-float("inf"), float("inf"), (2,))}, "inf"),
     "TooWide": ({"actions": Box(-M, M, (2,))}, r"3e\+38"),
 }
-closed = []
-
-
-class Closing(World):
-    def close(self):
-        closed.append(self)
-
-
 for name, (spaces, _) in WRONG.items():
-    register(name, Closing, **spaces)
+    register(name, **spaces)
 FITS = {"reinforce_mujoco": {"Unbounded", "TooWide"}}
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", WRONG)
-def test_spaces_that_do_not_fit_are_named_and_the_environment_is_closed(script, name, refusal):
+def test_spaces_that_do_not_fit_are_named_and_the_environment_is_closed(
+        script, name, refusal, monkeypatch):
     if name in FITS.get(script.name, ()):
         assert script.envs(f"{name}-v0", 1).num_envs == 1
         return
-    closed.clear()
+    closed = spy(monkeypatch, World, "close", lambda *_: True)
     discrete = "Discrete" if script.worlds and "actions" not in WRONG[name][0] else ""
     error = refusal(script, "--env-id", f"{discrete}{name}-v0")
     assert re.search(WRONG[name][1], error)
@@ -101,17 +93,10 @@ def test_an_unknown_environment_is_named(script, env_id, words, refusal):
     assert words in refusal(script, "--env-id", env_id)
 
 
-class Impossible(World):
-    def __init__(self, **kwargs):
-        raise ValueError("of the user's own")
-
-
-register("Impossible", Impossible)
-
-
 def test_an_error_in_the_user_s_constructor_is_the_user_s(script, monkeypatch):
-    monkeypatch.setattr(sys, "argv", [script.file, "--env-id", "Impossible-v0"])
-    with pytest.raises(ValueError, match="of the user's own"):
+    monkeypatch.setattr(World, "__init__", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(sys, "argv", [script.file, "--env-id", script.world("ThreeSteps")])
+    with pytest.raises(ZeroDivisionError):
         script.module.main()
 
 
@@ -144,7 +129,7 @@ def test_options_that_cannot_work_are_named(script, refusal):
 
 
 def test_what_is_no_agent_of_this_script_is_refused(script, runs, folder, refusal, tmp_path):
-    """A missing file, a folder, damage, another script, another size."""
+    """A missing file, a folder, damage, another script."""
     whole = (folder / "seed-3.pt").read_bytes()
     agent = tmp_path / "agent.pt"
     for path in "no/such/file", ".":
@@ -155,9 +140,6 @@ def test_what_is_no_agent_of_this_script_is_refused(script, runs, folder, refusa
     for name in set(SCRIPTS) - {script.name}:
         shutil.copy(run_folder(runs[name][0]) / "seed-3.pt", agent)
         refusal(script, "--watch", agent)
-    saved = torch.load(folder / "seed-3.pt", weights_only=True)
-    torch.save({**saved, "env_id": script.world("ThreeSteps")}, agent)  # fewer inputs
-    assert "--watch" in refusal(script, "--watch", agent)
 
 
 def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, tmp_path):

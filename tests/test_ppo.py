@@ -1,4 +1,4 @@
-"""PPO: its losses by hand, its updates gradient by gradient, its actions, what it learns."""
+"""PPO: its losses by hand, its updates gradient by gradient, its actions, its values."""
 
 import copy
 import math
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import SCRIPTS
-from harness import ACTIONS, TARGET, read_log, spy, spy_rollouts, train
+from harness import ACTIONS, spy, spy_rollouts, train
 from test_gae import gae_by_hand
 from torch.distributions import Normal, kl_divergence
 
@@ -76,16 +76,12 @@ def test_the_ratio_stays_1_while_the_policy_does(monkeypatch):
 def test_the_density_that_acted_is_the_one_that_learns(monkeypatch):
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
     rollouts = spy_rollouts(monkeypatch, ppo)
-    seen = spy(monkeypatch, ppo, "optimise", lambda agent, optimizer, samples, *_: samples[:3])
     train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--first-std", 2.7)
-    (player, batch, _), (obs, actions, log_probs) = rollouts[0], seen[0]
-    mean = player.actor(player.obs_stats.normalise(obs))
-    noise = (actions - mean) / 2.7
+    player, batch, _ = rollouts[0]
+    noise = (batch.actions - player.actor(player.obs_stats.normalise(batch.obs))) / 2.7
     assert abs(noise.mean()) < 0.3
     assert abs(noise.std() - 1) < 0.2
     assert len(noise.unique()) == 200
-    assert torch.equal(actions, batch.actions.flatten(0, 1))
-    torch.testing.assert_close(log_probs, Normal(mean, 2.7).log_prob(actions).sum(-1))
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
@@ -95,7 +91,7 @@ def test_tanh_takes_actions_to_the_bounds_and_never_beyond(dtype):
     actions = np.float32([[-10, -10], [10, 10], [0, 0], [half, -half]])
     squashed = ppo.squash(actions, space)
     np.testing.assert_allclose(squashed, [[-1, 0], [3, 0.5], [1, 0.25], [2, 0.125]], rtol=1e-3)
-    for low, high in (-0.2, 0.4), (-0.1, 0.7), (1e-3, 3e-3), (-4e4, 4e4), (100, 200):
+    for low, high in (-0.2, 0.4), (-0.1, 0.7), (1e-3, 3e-3), (-4e4, 4e4), (100, 101):
         space = gym.spaces.Box(low, high, (1,), dtype)
         for x in np.linspace(-20, 20, 401, dtype=np.float32):
             assert space.contains(ppo.squash(np.array([x]), space))
@@ -150,11 +146,8 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(size):
 @pytest.mark.parametrize("world", ["Uneven", "Forever"])
 def test_an_update_gets_the_estimates_of_the_agent_that_played(world, monkeypatch):
     """Advantages, targets and log π_old, from the definitions, as constants, in each update."""
-
-    def given(agent, batch):
-        return batch._replace(rewards=torch.randn(batch.rewards.shape))
-
-    rollouts = spy_rollouts(monkeypatch, ppo, given)
+    rollouts = spy_rollouts(monkeypatch, ppo, lambda _, batch: (
+        batch._replace(rewards=torch.randn(batch.rewards.shape))))
     monkeypatch.setattr(ppo, "scale_rewards", lambda rewards, done, *_: (3 * rewards, None))
     seen = spy(monkeypatch, ppo, "optimise", lambda *x: (copy.deepcopy(x[0]), *x[2]))
     train(monkeypatch, ppo, "--env-id", f"harness:{world}-v0", *SIZES, "--total-steps", 300,
@@ -204,26 +197,15 @@ def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step(monkeypatch):
     assert metrics["kl"] == pytest.approx(kls[-1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("world", "length"), [("ThreeSteps", 3), ("Forever", 8)])
-def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(world, length, monkeypatch):
-    """Reward 1: F is 1, 1 + γ, 1 + γ + γ², …, and 1 again after the end or the time limit."""
+def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypatch):
+    """Reward 1: F is 1, 1 + γ, 1 + γ + γ², …, and 1 again after the time limit of 8 steps."""
     seen = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_: rewards)
-    train(monkeypatch, ppo, "--env-id", f"harness:{world}-v0", *SIZES, "--gamma", 0.8,
+    train(monkeypatch, ppo, "--env-id", "harness:Forever-v0", *SIZES, "--gamma", 0.8,
           "--total-steps", 300)
     assert len(seen) == 3
     for i, rewards in enumerate(seen):
-        F = [sum(0.8**k for k in range(t % length + 1)) for t in range(25 * (i + 1))]
+        F = [sum(0.8**k for k in range(t % 8 + 1)) for t in range(25 * (i + 1))]
         np.testing.assert_allclose(rewards, 1 / np.std(F), rtol=1e-5)
-
-
-def test_learning_rate_and_sigma_fall_in_a_straight_line(monkeypatch):
-    """3.5 rollouts."""
-    found = spy(monkeypatch, ppo, "optimise", lambda agent, optimizer, *_: (
-        optimizer.param_groups[0]["lr"], agent.policy(torch.zeros(2)).stddev[0].item()))
-    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--learning-rate", 7e-3,
-          "--first-std", 0.9, "--last-std", 0.2, "--total-steps", 350)
-    np.testing.assert_allclose(found, [(7e-3, 0.9), (5e-3, 0.7), (3e-3, 0.5), (1e-3, 0.3)],
-                               rtol=1e-5)
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(monkeypatch):
@@ -235,22 +217,3 @@ def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(mon
     obs = torch.tensor([[-0.8, 0.0], [0.0, 0.0], [0.8, 0.0]])
     raw_values = rollouts[-1][2].value(obs) / scales[-1]
     assert (raw_values - 10).abs().max() < 0.5, raw_values  # blind to the limit: at most 5.7
-
-
-def test_it_finds_the_best_action_in_an_asymmetric_box(tmp_path):
-    script = SCRIPTS["ppo_continuous"]
-    path = script.train(
-        tmp_path, "--total-steps", 8192, "--num-envs", 8, "--rollout-steps", 64,
-        "--minibatch-size", 64, "--learning-rate", 3e-3, "--first-std", 0.22, "--last-std", 0.22,
-        "--epochs", 10, env_id="harness:Target-v0")
-    assert read_log(f"{path}.csv")["eval_return"].iloc[-1] > -0.03
-    actions = script.load_agent(path).act(np.float32([[0, 0], [0.5, 0]]), deterministic=True)
-    assert np.abs(ppo.squash(actions, ACTIONS) - TARGET).max() < 0.2
-
-
-@pytest.mark.slow
-def test_it_learns_to_balance_a_pole(tmp_path):
-    path = SCRIPTS["ppo_continuous"].train(
-        tmp_path, "--total-steps", 24576, "--num-envs", 8, "--rollout-steps", 128,
-        "--minibatch-size", 128, "--epochs", 10, "--num-evals", 1)
-    assert read_log(f"{path}.csv")["eval_return"].iloc[-1] > 500

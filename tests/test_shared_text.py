@@ -1,40 +1,24 @@
 """What the three files have in common is the same, word for word."""
 
 import ast
-import difflib
 import re
 
 from conftest import SCRIPTS
 from harness import ROOT
 
-# Where the scripts differ on purpose, because this is the algorithm, or its options.
-DIFFERENT = {
-    "Agent", "Transitions", "main", "make_envs", "mlp", "optimise", "parse_args", "plot",
-    "policy_loss", "train", "watch"}
-ALIKE_IN_TWO = {"mlp": {"reinforce_mujoco", "ppo_continuous"}}
-
-
-def sources():
-    """{name of function or class: {script: its text}}"""
-    found = {}
-    for script in SCRIPTS.values():
-        text = (ROOT / script.file).read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.col_offset == 0:
-                found.setdefault(node.name, {})[script.name] = ast.get_source_segment(text, node)
-    return found
+VERSIONS = {  # of what differs on purpose, because this is the algorithm, or its options
+    "Agent": 3, "main": 3, "optimise": 3, "parse_args": 3, "plot": 3, "policy_loss": 3, "train": 3,
+    "watch": 3, "Transitions": 2, "make_envs": 2, "mlp": 2}
 
 
 def test_functions_of_the_same_name_have_the_same_text():
-    found = sources()
-    assert {"evaluate", "save", "compute_gae", "rollout", "Tidy"} <= set(found) - DIFFERENT
-    for name, versions in found.items():
-        alike = ALIKE_IN_TWO.get(name, set() if name in DIFFERENT else set(versions))
-        (first, text), *others = [(x, versions[x]) for x in versions if x in alike] or [("", "")]
-        for other, its_text in others:
-            diff = difflib.unified_diff(
-                text.splitlines(), its_text.splitlines(), first, other, lineterm="")
-            assert text == its_text, "\n".join(diff)
+    found = {}
+    for script in SCRIPTS.values():
+        text = (ROOT / script.file).read_text(encoding="utf-8")
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                found.setdefault(node.name, set()).add(ast.get_source_segment(text, node))
+    assert {name: len(texts) for name, texts in found.items() if len(texts) > 1} == VERSIONS
 
 
 def test_requirements_txt_is_what_the_scripts_ask_for_and_pytest():
