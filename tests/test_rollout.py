@@ -66,8 +66,10 @@ def test_the_stored_actions_are_those_that_were_executed(script):
 @both
 def test_every_episode_counts_once_with_its_raw_return(script, monkeypatch):
     """5 steps in 4 environments at a time: some episodes span two rollouts; NaN where none ends."""
+    rollouts = spy_rollouts(monkeypatch, script.module)
     log = train(monkeypatch, script.module, "--env-id", script.world("Forever"), "--num-envs", 4,
                 "--rollout-steps", 5, "--total-steps", 80)
+    assert torch.equal(rollouts[0][1].next_obs[-1], rollouts[1][1].obs[0])  # which goes on
     assert log["env_step"].tolist() == [20, 40, 60, 80]
     np.testing.assert_equal(log["return"].to_numpy(), [np.nan, 8, np.nan, 8])
 
