@@ -80,7 +80,7 @@ def draw(rows):
         "ten tasks in short": study.table(
             ["task", "evaluation", "lowest", "in training", "published [from]", "minutes"], short),
         "three scripts": study.table(["file", "task", "mean ± std", "lowest", "solved from",
-                                      "solved (95%)", "steps", "seconds"], three),
+                                      "solved (95% interval)", "steps", "seconds"], three),
         "settings": study.table(["command", "five seeds", "mean", "minutes"], others)}
 
 
