@@ -68,10 +68,11 @@ def draw(rows):
                           number(course["minutes"].iloc[-1], 1),
                           *(passages if learner != "ours" else ("", ""))])
     picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
-                   handlelength=4, title="lines: means; dots, in this order: each seed at the end")
+                   handlelength=4, title="lines: means of ten seeds (ours), five (the others); "
+                   "dots, in this order: each seed in the last evaluation")
     study.save(picture, "ppo_race")
-    return {"race": study.table(["task", "learner", "return", "ours − it, 95%", "p", "minutes",
-                                 "ours reaches its return at", "it reaches ours at"], lines)}
+    return {"race": study.table(["task", "learner", "return", "ours − theirs, 95%", "p", "minutes",
+                                 "ours reaches theirs", "theirs reaches ours"], lines)}
 
 
 if __name__ == "__main__":

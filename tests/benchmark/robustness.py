@@ -38,10 +38,11 @@ def draw(rows):
     for name, x in worlds.items():
         agents = x.groupby(["options", "seed"])["return"].mean()
         usual, randomized = agents[""], agents["--randomize"]
-        gain, margin = study.interval(stats.ttest_ind(randomized, usual, equal_var=False))
+        test = stats.ttest_ind(randomized, usual, equal_var=False)
+        gain, margin = study.interval(test)
         lines.append([name, study.spread(usual), study.spread(randomized),
-                      f"{number(gain)} ± {number(margin)}"])
-    header = ["moons", "trained as usual", "trained with --randomize", "difference, 95%"]
+                      f"{number(gain)} ± {number(margin)}", study.p_value(test)])
+    header = ["moons", "trained as usual", "trained with --randomize", "difference, 95%", "p"]
     return {"robustness": study.table(header, lines)}
 
 
