@@ -48,7 +48,7 @@ def main(folders):
         for (one, x), (other, y) in itertools.combinations(last, 2):
             welch = stats.ttest_ind(y, x, equal_var=False)
             gain, margin = study.interval(welch)
-            print(f"{other} − {one}: {gain:.4g} ± {margin:.2g} (95%), p = {welch.pvalue:.3g}")
+            print(f"{other} − {one}: {gain:.4g} ± {margin:.4g} (95%), p = {welch.pvalue:.3g}")
     except ImportError:
         print("p: needs scipy (pip install scipy)")
     picture, (axis,) = study.figure(11, 7)
