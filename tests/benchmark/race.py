@@ -55,7 +55,7 @@ def draw(rows):
             for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
                 axis.plot(unit, "return", style, data=courses[learner], color=color, lw=3,
                           label=label)
-                axis.set(title=task, xlabel=unit, ylabel="return")
+                axis.set(title=task if unit != "minutes" else "", xlabel=unit, ylabel="return")
             strip = [1 + 0.03 * len(last)] * len(last[learner])
             panels[column].plot(strip, last[learner], ".", color=color)
         axis.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale)")

@@ -181,7 +181,7 @@ def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
     """Every seed, and the mean in bold."""
     sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, color=color, ax=axis)
     sns.lineplot(rows, x=x, y=y, errorbar=None, linewidth=3, label=label, color=color, ax=axis)
-    axis.set(xlabel=x.replace("_", " "), ylabel="return", **labels)
+    axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
 
 
 def save(picture, name):
