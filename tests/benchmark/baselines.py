@@ -61,12 +61,13 @@ def draw(rows):
                       p_values[1], study.share(runs["return"].last() >= 950),
                       number(runs["sampled"].last().mean())])
     picture, panels = study.figure(11, 4, 1, 3)
-    titles = "variance, none = 1", f"return after {EARLY:,} steps", "mean return over a run"
+    titles = ("variance of the gradient, none = 1", f"return after {EARLY:,} steps",
+              "mean return over a run")
     for axis, title, x in zip(panels, titles, (variance, early, whole)):
         sns.pointplot(x, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
         sns.swarmplot(x, color="black", ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
-    picture.suptitle("dots: seeds; lines: their means")
+    picture.suptitle("REINFORCE on InvertedPendulum: ten seeds (dots), their mean (line)")
     study.save(picture, "baselines")
     header = ["`--baseline`", *titles[:2], "p", titles[2], "p", "solved (95%)", "in training"]
     return {"baselines": study.table(header, lines)}

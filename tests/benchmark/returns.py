@@ -49,7 +49,7 @@ def draw(rows):
         x.groupby("million_steps")["sampled"].mean().plot(ax=axis, color="C1", lw=3, label="_")
         study.curves(x, "million_steps", axis, xlabel="", ylabel="",
                      title=task.removesuffix("-v5").replace("Double", "\nDouble"))
-        for i, name in (0, "mean in training"), (1, "each seed"), (-1, "mean in evaluation"):
+        for i, name in (0, "mean in training"), (1, "seeds in evaluation"), (-1, "their mean"):
             axis.lines[i].set_label(name)
         for same_version, line in PUBLISHED.loc[task].iterrows():
             axis.errorbar(1.1 if same_version else 1.2, line["mean"], line["std"], capsize=4,
@@ -61,7 +61,7 @@ def draw(rows):
                     number(x["sampled"].mean(), digits),
                     *published((task, True), x), *published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
-    picture.suptitle("Return against million steps")
+    picture.suptitle("PPO on ten tasks: return against million steps")
     picture.legend(*axis.get_legend_handles_labels(), loc="lower right",
                    title="compare a marker (± std) with the line of its colour")
     study.save(picture, "ppo_returns")
