@@ -56,9 +56,8 @@ def draw(rows):
                           fmt="s" if same_version else "^", color=f"C{line['sampled']:d}",
                           label=f"published, {'this' if same_version else 'an older'} version")
         x = study.last(x)
-        returns, digits = x["return"], 0 if abs(x["return"].mean()) > 100 else 1
-        ten.append([task, study.spread(returns, digits), number(returns.min(), digits),
-                    number(x["sampled"].mean(), digits),
+        digits = 0 if abs(x["return"].mean()) > 100 else 1
+        ten.append([task, study.spread(x["return"], digits), study.spread(x["sampled"], digits),
                     *published((task, True), x), *published((task, False), x),
                     number(x["seconds"].median() / 60, 1)])
     picture.suptitle("PPO on ten tasks: return against million steps")
@@ -75,12 +74,12 @@ def draw(rows):
     for options, x in final[final["options"].isin(SETTINGS)].groupby("options"):
         others.append([f"`python {SETTINGS[options][0]} {options}`", study.every(x["return"]),
                        number(x["return"].mean()), number(x["seconds"].median() / 60, 1)])
-    short = [[*line[:5], line[-1]] for line in ten]
+    short = [[*line[:4], line[-1]] for line in ten]
     return {
-        "ten tasks": study.table(["task", "evaluation", "lowest", "in training", "published", "p",
+        "ten tasks": study.table(["task", "evaluation", "in training", "published", "p",
                                   "older versions", "p", "minutes"], ten),
         "ten tasks in short": study.table(
-            ["task", "evaluation", "lowest", "in training", "published [from]", "minutes"], short),
+            ["task", "evaluation", "in training", "published [from]", "minutes"], short),
         "three scripts": study.table(["file", "task", "mean ± std", "lowest", "solved from",
                                       "solved (95% interval)", "steps", "seconds"], three),
         "settings": study.table(["command", "five seeds", "mean", "minutes"], others)}
