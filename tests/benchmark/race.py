@@ -58,7 +58,7 @@ def draw(rows):
                 axis.set(title=task if unit != "minutes" else "", xlabel=unit, ylabel="return")
             strip = [1 + 0.03 * len(last)] * len(last[learner])
             panels[column].plot(strip, last[learner], ".", color=color)
-        axis.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale), to a million steps")
+        axis.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale)")
         axis.xaxis.set_major_formatter("{x:g}")
         for learner, course in courses.items():
             passages = (reach(courses["ours"], last[learner].mean()),
