@@ -73,8 +73,8 @@ def draw(rows):
         axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
         axis.set(title=table, xlabel="gain, % (95%, not corrected)")
-    certain = f"{details['holds'].sum()} of {len(details)} effects"
-    picture.suptitle(f"{certain} are significant after Holm's correction (filled)")
+    share = f"{details['holds'].sum()} of {len(details)} effects"
+    picture.suptitle(f"{share} are significant after Holm's correction (filled)")
     study.save(picture, "ablation")
     answers = found[~found["change"].isin(DETAILS)]
     usual = details.groupby("table")["without"].first()
