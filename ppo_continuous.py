@@ -5,10 +5,12 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-    python ppo_continuous.py --seed 1 2 3
+    python ppo_continuous.py --seed 1 2 3               with uv: uv run ppo_continuous.py --seed 1
+    python ppo_continuous.py --watch runs/…/seed-1.pt   replays an agent and films it
 
-trains three agents side by side to balance a double pendulum on a cart. In a good run the return
-climbs within a minute from 50, which random actions earn, to 9,300; the most is 9,360.
+The first line trains three agents side by side to balance a double pendulum on a cart, and leaves
+logs, agents and a figure in a new folder in runs/. In a good run the return climbs within a minute
+from 50, which random actions earn, to 9,300; the most is 9,360.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
 reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
@@ -18,11 +20,11 @@ of an episode. Two neural networks learn:
     the critic  V(s)                        what to expect from s on if we follow π: the mean of
                                             r_t + γ·r_{t+1} + γ²·r_{t+2} + …, with γ < 1
 
-The critic judges actions. The advantage A of an action is what followed minus V(s): how much better
-it turned out than what π does on average. Actions with A > 0 become more likely, those with A < 0
-less. A2C (advantage actor-critic) takes one gradient step on a rollout and throws it away. PPO [1]
-takes many, so it learns more from it. But the rollout shows only what π_old did, the policy that
-collected it, so π must stay near π_old. One update:
+The advantage A of an action is what followed it minus V(s): how much better it turned out than what
+π does on average. Actions with A > 0 become more likely, those with A < 0 less. A2C (advantage
+actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes many, so it
+learns more from it. But the rollout shows only what π_old did, the policy that collected it, so π
+must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
@@ -30,7 +32,7 @@ collected it, so π must stay near π_old. One update:
   4. Estimate the advantages A (GAE [2]). A + V(s) are the targets that V is trained on.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     or, once KL(π_old ‖ π), estimated on the minibatch, is above max_kl, go on to 6.
+     or, once KL(π_old ‖ π) is above max_kl on a minibatch, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
 Points 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6, max_kl,
@@ -46,10 +48,13 @@ In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observati
 """
 
 import argparse
+import copy
 import os
 import random
+import shutil
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,19 +74,18 @@ from tqdm import tqdm
 class Agent(nn.Module):
     """The actor π(a|s) and the critic V(s). Both see normalised observations."""
 
-    def __init__(self, envs, hidden_size):
+    def __init__(self, obs_space, action_space, hidden_size):
         super().__init__()
-        inputs, outputs = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+        inputs, outputs = obs_space.shape[0], action_space.shape[0]
         self.obs_stats = RunningStatistics(inputs)
         self.actor = mlp(inputs, hidden_size, outputs, last_gain=0.01)
         self.critic = mlp(inputs, hidden_size, 1, last_gain=1.0)
         self.register_buffer("sigma", torch.ones(outputs))  # set by `train`
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
+        """Observations (…, D) -> π(·|s): a Gaussian for each of the K numbers of an action."""
         mean = self.actor(self.obs_stats.normalise(obs))
-        gaussians = torch.distributions.Normal(mean, self.sigma, validate_args=False)  # faster
-        return torch.distributions.Independent(gaussians, 1)
+        return torch.distributions.Normal(mean, self.sigma, validate_args=False)  # faster
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -110,13 +114,14 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
     def update(self, rows):
-        """Merge in new `rows`, whose weight w is their share of all rows so far.
+        """Merge in new `rows` (…, *shape), whose weight w is their share of all rows so far.
 
             mean ← (1−w)·mean + w·mean_new
             var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         """
+        rows = rows.reshape(-1, *self.mean.shape).double()
         self.count += len(rows)
-        rows, w = rows.double(), len(rows) / self.count.item()
+        w = len(rows) / self.count.item()
         self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
 
@@ -124,7 +129,7 @@ class RunningStatistics(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 makes up for tanh
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -141,7 +146,7 @@ def squash(actions, space):
     return inside.clip(space.low, space.high).astype(space.dtype)  # rounding may go beyond
 
 
-# --- An update, point by point --------------------------------------------------------------------
+# --- The steps of an update -----------------------------------------------------------------------
 
 
 class Transitions(NamedTuple):
@@ -190,9 +195,10 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
     for t in range(len(rewards)):
         sums[t] = rewards[t] + gamma * past_rewards
         past_rewards = sums[t] * ~done[t]
-    stats.update(sums.flatten())
+    stats.update(sums)
     varies = stats.var > 1e-16 * stats.mean**2  # by more than rounding
-    return (rewards / stats.var.sqrt() if varies else rewards).float(), past_rewards
+    scale = stats.var.sqrt() if varies else 1.0
+    return (rewards / scale).float(), past_rewards
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -240,32 +246,29 @@ def policy_loss(ratio, advantages, clip_eps):
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
 
 
-def approximate_kl(log_ratio):
-    """KL(π_old ‖ π) = E[−log ρ], estimated by mean(ρ − 1 − log ρ); log ρ is (B,).
+def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
+    """5. On all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    E[ρ] = ∫ π_old·(π/π_old) da = 1, so adding ρ − 1 changes nothing on average. But now no term is
-    below 0, as log ρ ≤ ρ − 1, and near ρ = 1 they vary much less: they are about ½·(log ρ)².
-    For two Gaussians of the same σ it is ½·Σ((μ − μ_old)/σ)²: the smaller σ, the less μ may move.
+    Returns metrics of the last minibatch. As π and π_old are Gaussians of one σ,
+
+        KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
     """
-    return (log_ratio.expm1() - log_ratio).mean()  # expm1(x) is exp(x) − 1, but accurate near 0
-
-
-def optimise(agent, optimizer, samples, epochs, minibatch_size, clip_eps, max_kl):
-    """5. On all T·N samples: obs, actions, log π_old(a|s), A, targets. Returns the last metrics."""
-    shuffled = torch.cat([torch.randperm(len(samples[0])) for _ in range(epochs)])
-    for rows in shuffled.split(minibatch_size):  # each sample once an epoch
-        obs, actions, old_log_probs, A, targets = (x[rows] for x in samples)
-        log_ratio = agent.policy(obs).log_prob(actions) - old_log_probs
-        ratio, kl = log_ratio.exp(), approximate_kl(log_ratio)
-        A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # now A > 0: above the minibatch's mean
-        loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
-        if kl > max_kl:  # not sooner, as loss_v is logged
-            break
-        optimizer.zero_grad()
-        (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # no shared weights: no interference
-        optimizer.step()
-    return {"value_loss": loss_v.item(), "kl": kl.item(),
-            "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
+    for _ in range(epochs):
+        for rows in torch.randperm(len(samples[0])).split(minibatch_size):
+            obs, actions, old_means, old_log_probs, A, targets = (x[rows] for x in samples)
+            policy = agent.policy(obs)
+            ratio = (policy.log_prob(actions).sum(-1) - old_log_probs).exp()
+            kl = (((policy.mean - old_means) / policy.stddev) ** 2).sum(-1).mean() / 2
+            loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
+            metrics = {"value_loss": loss_v.item(), "kl": kl.item(),
+                       "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
+            if kl > max_kl:
+                return metrics
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # A > 0: above the minibatch's mean
+            optimizer.zero_grad()
+            (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # the networks share no weights
+            optimizer.step()
+    return metrics
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -275,61 +278,68 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
-        set_seed(make_seeds(seed, stream=0, count=1)[0])
-    envs = make_envs(args.env_id, args.num_envs, "Disabled")  # `rollout` resets them
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep")
-    obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
-    agent = Agent(envs, args.hidden_size)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
-    reward_stats, past_rewards = RunningStatistics(), 0.0
-    log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-    bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
-    while env_step < args.total_steps:
-        # 1. Anneal.
-        remaining = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
-        agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
-        # 2. Collect a rollout.
-        batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
-        # 3. Scale the rewards.
-        rewards, past_rewards = scale_rewards(
-            batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
-        # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-        with torch.no_grad():
-            old_log_probs = agent.policy(batch.obs).log_prob(batch.actions)
-            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
-        advantages = compute_gae(
-            rewards, values, next_values, batch.terminated, batch.done, args.gamma, args.gae_lambda)
-        targets = advantages + values
-        # 5. Update actor and critic, on samples in no order: (T, N, …) -> (T·N, …).
-        samples = batch.obs, batch.actions, old_log_probs, advantages, targets
-        metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
-                           args.epochs, args.minibatch_size, args.clip_eps, args.max_kl)
-        # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
-        agent.obs_stats.update(batch.obs.flatten(0, 1))
+    seed_generators(seed)
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
+          closing(make_envs(args, args.num_envs, "Disabled")) as envs):  # `rollout` resets them
+        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
+        optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
+        reward_stats, past_rewards = RunningStatistics(), 0.0
+        log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
+        bar = tqdm(total=args.total_steps, disable=index > 0)
+        obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
+        while env_step < args.total_steps:
+            # 1. Anneal.
+            remaining = 1 - env_step / args.total_steps
+            optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
+            agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
+            # 2. Collect a rollout.
+            batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
+            # 3. Scale the rewards.
+            rewards, past_rewards = scale_rewards(
+                batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
+            # 4. Estimate advantages and targets, which are constants in 5, like π_old.
+            with torch.no_grad():
+                old_policy = agent.policy(batch.obs)
+                old_log_probs = old_policy.log_prob(batch.actions).sum(-1)
+                values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+            advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
+                                     gamma=args.gamma, gae_lambda=args.gae_lambda)
+            targets = advantages + values
+            # 5. Update actor and critic, on samples in no order: (T, N, …) -> (T·N, …).
+            samples = (
+                batch.obs, batch.actions, old_policy.mean, old_log_probs, advantages, targets)
+            metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
+                               epochs=args.epochs, minibatch_size=args.minibatch_size,
+                               clip_eps=args.clip_eps, max_kl=args.max_kl)
+            # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
+            agent.obs_stats.update(batch.obs)
 
-        if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
-        # How well V predicted its targets, up to a constant: 1 is perfect, 0 or less useless.
-        metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
-        env_step += rewards.numel()
-        bar.update(min(env_step, args.total_steps) - bar.n)
-        log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                    "return": np.mean(returns) if returns else np.nan, **metrics})
-        if env_step >= evals_done / args.num_evals * args.total_steps:
-            evals_done += 1
-            log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
-            bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
-            save(folder / f"seed-{seed}", log, agent, args)
+            # How well V predicted its targets, up to a constant: 1 is perfectly, 0 or less that it
+            # is useless, or that nothing is left to explain. (As target − V = A.)
+            metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
+            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
+            weights = nn.utils.parameters_to_vector(agent.parameters())
+            check_finite("a weight (is --learning-rate too large?)", weights.detach())
+            env_step += rewards.numel()
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
+                        "return": np.mean(returns) if returns else np.nan, **metrics})
+            # After the first update, then whenever another 1/num_evals of all steps is done.
+            if env_step >= evals_done / args.num_evals * args.total_steps:
+                evals_done += 1
+                log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
+                bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
+                save(folder / f"seed-{seed}", log, agent, {**vars(args), "seed": [seed]})
 
 
 # --- Options --------------------------------------------------------------------------------------
 
 
-def parse_args(argv=None):
+def parse_args(argv=None, known=None):
+    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
     parser = argparse.ArgumentParser(
-        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+        usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=in_range(int, 1), default=150_000, help="environment steps in all")
@@ -350,7 +360,7 @@ def parse_args(argv=None):
     add("--first-std", type=in_range(float, 1e-4), default=0.6, help="sigma at first, before tanh")
     add("--last-std", type=in_range(float, 1e-4), default=0.1, help="sigma at last, before tanh")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
-    return parser.parse_args(argv)
+    return parser.parse_args(argv, known)
 
 
 def in_range(kind, low, high=1e12):
@@ -372,94 +382,129 @@ def in_range(kind, low, high=1e12):
 
 def make_seeds(seed, stream, count):
     """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
+    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
 
 
-def make_envs(env_id, count, autoreset_mode, **kwargs):
-    """`count` environments; those of autoreset mode "NextStep" reset themselves when done."""
-    try:
-        envs = gym.make_vec(env_id, count, "sync", {"autoreset_mode": autoreset_mode}, [
-            lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
-            Tidy], **kwargs)
-    except (gym.error.Error, ImportError) as error:
-        sys.exit(f"--env-id {env_id}: {error}")
+def seed_generators(seed):
+    """Seed what the agent, and some environments, draw from."""
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:
+        set_seed(make_seeds(seed, stream=0, count=1)[0])
+
+
+def make_envs(args, count, mode="NextStep", **kwargs):
+    """`count` environments; in this mode, for evaluation, they reset themselves when done."""
+    envs = gym.make_vec(args.env_id, count, "sync", {"autoreset_mode": mode}, [Tidy], **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
             and np.abs([space.low, space.high], dtype=float).max() < 1e30):
         envs.close()
-        message = f"{env_id}: needs flat Boxes, actions with bounds; has {obs_space}, {space}"
-        sys.exit(" ".join(message.split()))  # in one line
-    envs = gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # NaN: ValueError
+        raise TypeError(f"{args.env_id} needs flat Boxes, for actions of floats with bounds (see "
+                        f"docs/guide.md); it has {obs_space} and {space}")
+    envs = gym.wrappers.vector.TransformObservation(
+        envs, lambda obs: check_finite(f"an observation of {args.env_id}", obs.astype(float)))
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
 
 
 class Tidy(gym.Wrapper):
-    """The only `info` is the return, when an episode has ended; it must be finite."""
+    """An environment whose spaces no other shares, and whose `info` is an episode's return."""
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
-        if seed is not None:  # some environments draw from their spaces
-            self.observation_space.seed(seed)
-            self.action_space.seed(seed)
+        for name in ("observation_space", "action_space") if seed is not None else ():
+            space = copy.deepcopy(getattr(self.unwrapped, name))
+            space.seed(seed)  # some environments draw from them
+            vars(self.unwrapped)[name] = space
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += float(reward)
-        done = terminated or truncated
-        info = {"return": np.asarray_chkfinite(self.total).item()} if done else {}
+        reward = np.asarray(reward).item()
+        self.total += reward
+        info = {"return": self.total} if terminated or truncated else {}
         return obs, reward, terminated, truncated, info
 
 
+def check_finite(name, x):
+    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    if not np.isfinite(np.asarray(x)).all():
+        raise ValueError(f"{name} is NaN or infinite")
+    return x
+
+
 def evaluate(agent, envs, seed):
-    """The mean return of one episode in each environment, with deterministic actions."""
+    """The mean return of one episode in each environment, with deterministic actions.
+
+    It ends after 1,000 steps if there is no time limit. It leaves the generators as they were.
+    """
+    states = np.random.get_state(), random.getstate(), torch.get_rng_state()
+    seed_generators(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # environments that are done go on, but no longer count
+    for _ in range(envs.spec.max_episode_steps or 1000):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += playing * rewards
+        returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
+        if not playing.any():  # environments that are done went on, but did not count
+            break
+    for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
+        restore(state)
     return returns.mean().item()
 
 
-def save(path, log, agent, args):
+def save(path, log, agent, options):
     """Write new files, then put them in place of the old ones, so that none is ever cut short."""
     pd.DataFrame(log).to_csv(f"{path}.csv.new", index=False)
-    torch.save({**vars(args), "agent": agent.state_dict()}, f"{path}.pt.new")
+    torch.save({"agent": agent.state_dict(), "options": options, "script": Path(__file__).name},
+               f"{path}.pt.new")
     for suffix in "csv", "pt":
         Path(f"{path}.{suffix}.new").replace(f"{path}.{suffix}")
 
 
-def watch(args):
-    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
+def watch(path):
+    """Print a saved agent's mean return; film at most 300 frames of an episode in a GIF beside it.
+
+    Options are those of its training, except for those typed now.
+    """
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     try:
-        saved = torch.load(args.watch, weights_only=True)
-        envs = make_envs(saved["env_id"], args.eval_episodes, "NextStep")
-        agent = Agent(envs, saved["hidden_size"])
+        saved = torch.load(path, weights_only=True)
+        if saved["options"].keys() != vars(parse_args([])).keys():
+            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+        args = parse_args(known=argparse.Namespace(**saved["options"]))
+        envs = make_envs(args, args.eval_episodes)
+        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
-        for set_seed in np.random.seed, random.seed:  # environments may use these
-            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
-        print("return:", evaluate(agent, envs, args.seed[0]))
-        os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
-        film = make_envs(saved["env_id"], 1, "NextStep", render_mode="rgb_array_list")
-        evaluate(agent, film, args.seed[0])
-        imageio.imwrite(args.watch.with_suffix(".gif"), film.render()[0][::5], duration=50, loop=0)
-    except Exception as error:  # no agent of this script, an environment that cannot be drawn, …
-        sys.exit(f"--watch {args.watch}: {error!r}")
+    except Exception as error:
+        sys.exit(f"--watch {path}: no agent that can be played: {error!r}")
+    print("return:", evaluate(agent, envs, args.seed[0]))
+    try:
+        envs = make_envs(args, 1, render_mode="rgb_array")
+        fps = envs.metadata.get("render_fps", 20)
+        every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
+        obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
+        with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
+            for step in range(300 * every):
+                if step % every == 0:
+                    film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
+                obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
+                if terminated | truncated:
+                    break
+    except Exception as error:
+        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
 
 
 def plot(folder):
-    """Draw learning_curve.png; print the end of each seed's log."""
+    """Draw learning_curve.png, a panel for each metric; print the end of each seed's log."""
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
+    metrics = list(log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"]))
     figure = Figure(figsize=(12, 8), layout="constrained")
-    diagnostics = ["value_loss", "explained_variance", "kl", "clip_fraction"]
-    axes = figure.subplot_mosaic([["return"] * len(diagnostics), diagnostics], height_ratios=(3, 1))
-    for name, ax in axes.items():
-        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
+    axes = figure.subplot_mosaic([["return"] * len(metrics), metrics], height_ratios=(3, 1))
+    for name in "return", "eval_return", *metrics:
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None,
+                     ax=axes.get(name, axes["return"]), legend=name == "eval_return",
                      alpha=0.4 if name == "return" else 1.0)
-    sns.lineplot(log, x="env_step", y="eval_return", hue="seed", estimator=None, ax=axes["return"])
     axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
     axes["explained_variance"].set_ylim(-1, 1)
     figure.savefig(folder / "learning_curve.png")
@@ -470,21 +515,33 @@ def main():
     sys.path.append(str(Path.cwd()))  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
-        return watch(args)
+        return watch(args.watch)
     if len(set(args.seed)) < len(args.seed):
-        sys.exit(f"--seed {args.seed}: each only once")
-    make_envs(args.env_id, 1, "Disabled").close()  # if --env-id is wrong, the program ends here
+        sys.exit("--seed: each only once")
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
-    folder.mkdir(parents=True)
+    try:
+        envs = make_envs(args, 1)
+        envs.close()
+        folder.mkdir(parents=True)
+    except (gym.error.Error, ImportError, TypeError, OSError) as error:
+        sys.exit(" ".join(f"{args.env_id}: {error}".split()))
+    if not envs.spec.max_episode_steps:
+        print(f"{args.env_id} has no time limit, so evaluations end after 1,000 steps; to choose "
+              "another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
-    finally:  # after Ctrl-C, too
+    except KeyboardInterrupt:  # no traceback
+        sys.excepthook = lambda *_: print("interrupted")
+        raise
+    finally:
         if any(folder.glob("*.csv")):
             plot(folder)
+        else:
+            shutil.rmtree(folder)
 
 
 if __name__ == "__main__":
