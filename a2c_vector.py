@@ -5,10 +5,12 @@
 # ///
 """A2C: advantage actor-critic, with many environments and random physics, in one file.
 
-    python a2c_vector.py --seed 1 2 3
+    python a2c_vector.py --seed 1 2 3                   with uv: uv run a2c_vector.py --seed 1
+    python a2c_vector.py --watch runs/…/seed-1.pt       replays an agent and films it
 
-trains three agents side by side to land on the moon. In a good run the return climbs within three
-minutes from −180, which random actions earn, to about 250; from 200 on the task counts as solved.
+The first line trains three agents side by side to land on the moon, and leaves logs, agents and a
+figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
+which random actions earn, to about 250; from 200 on the task counts as solved.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
 reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
@@ -30,16 +32,16 @@ environments in step) V stands in for the rewards still to come. One update:
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
      It makes actions of above-average A more likely, the others less. The entropy is high while π
      is undecided; the bonus keeps π from settling on one action before it has tried the others.
-  6. Update the statistics that normalise observations. Throw the rollout away, start again at 1.
+     Then throw the rollout away, because it shows what the old π did.
+  6. Update the statistics that normalise observations. Start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
-gradient is less noisy, and one call of the networks serves N states. `--vectorization async` gives
-each its own process, which pays off for steps slower than about 0.1 ms (on two cores; a step here
-takes 0.03 ms). `--randomize` varies the physics (`RandomPhysics`). Points 1, 3 and 6, standardised
-A, the initial weights and clipped gradients are details that help.
+gradient is less noisy, and one call of the networks serves N states (`make_envs`). `--randomize`
+varies the physics (`RandomPhysics`). Points 1, 3 and 6, standardised A, the initial weights and
+clipped gradients are details that help.
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
-In shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation.
+In shapes: T rollout_steps, N num_envs, D numbers in an observation.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning, arXiv 1602.01783.
 [2] Schulman et al. 2016, Generalized Advantage Estimation, arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
@@ -47,9 +49,13 @@ In shapes: T rollout_steps, N num_envs, B samples, D numbers in an observation.
 """
 
 import argparse
+import copy
+import os
 import random
+import shutil
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,9 +75,9 @@ from tqdm import tqdm
 class Agent(nn.Module):
     """The actor π(a|s) and the critic V(s). Both see normalised observations."""
 
-    def __init__(self, envs, hidden_size):
+    def __init__(self, obs_space, action_space, hidden_size):
         super().__init__()
-        inputs, outputs = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
+        inputs, outputs = obs_space.shape[0], int(action_space.n)
         self.obs_stats = RunningStatistics(inputs)
         self.actor = mlp(inputs, hidden_size, outputs, last_gain=0.01)
         self.critic = mlp(inputs, hidden_size, 1, last_gain=1.0)
@@ -108,13 +114,14 @@ class RunningStatistics(nn.Module):
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
     def update(self, rows):
-        """Merge in new `rows`, whose weight w is their share of all rows so far.
+        """Merge in new `rows` (…, *shape), whose weight w is their share of all rows so far.
 
             mean ← (1−w)·mean + w·mean_new
             var  ← (1−w)·var + w·var_new + w·(1−w)·(mean_new − mean)²
         """
+        rows = rows.reshape(-1, *self.mean.shape).double()
         self.count += len(rows)
-        rows, w = rows.double(), len(rows) / self.count.item()
+        w = len(rows) / self.count.item()
         self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
 
@@ -122,13 +129,13 @@ class RunningStatistics(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` makes π start nearly uniform."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 makes up for ReLU
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
 
 
-# --- An update, point by point --------------------------------------------------------------------
+# --- The steps of an update -----------------------------------------------------------------------
 
 
 class Transitions(NamedTuple):
@@ -187,7 +194,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
 
 def policy_loss(log_probs, advantages):
-    """−mean(A·log π); log π and A are (B,), B = T·N. Why does a step on it raise the return?
+    """−mean(A·log π); log π and A are (T, N). Why does a step on it raise the return?
 
     An episode has the probability p = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…, in which only
     the π depend on the weights, and ∇p = p·∇log p. So
@@ -208,9 +215,9 @@ def policy_loss(log_probs, advantages):
     return -(advantages * log_probs).mean()
 
 
-def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, max_grad_norm):
-    """5. One gradient step on all B samples of a rollout. Returns metrics."""
-    # Standardised, so that c and the clipping suit rewards of any size.
+def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
+    """5. One gradient step on a whole rollout. Returns metrics."""
+    # Standardised, so that c and the actor's clipping suit rewards of any size.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -224,7 +231,39 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, entropy_coef, 
     return {"value_loss": loss_v.item(), "entropy": entropy.item()}
 
 
-# --- Domain randomization -------------------------------------------------------------------------
+# --- Environments ---------------------------------------------------------------------------------
+
+
+def make_envs(args, count, mode="NextStep", **kwargs):
+    """`count` environments in a vector: actions (N,) in, observations (N, D) and so on out.
+
+    `--vectorization sync` steps them one after the other, in this process. With async each has a
+    process of its own. At every step actions are sent to it and observations back, and all wait for
+    the slowest. On two cores this pays once a step takes longer than about 0.1 ms; here it takes
+    0.03 ms. Only training runs in processes.
+
+    Usually a vector resets an environment by itself, in the step after an episode has ended (mode
+    "NextStep"). That step ignores the action and earns 0: a transition that never happened, which
+    an agent must not learn from. Evaluation only counts first episodes, so it does not mind.
+    Training takes "Disabled", and `rollout` resets what its mask says: again N rows come back,
+    and those outside the mask are as they were.
+    """
+    wrappers = [Tidy, RandomPhysics] if args.randomize else [Tidy]  # the last is the outermost
+    if args.randomize and "LunarLander" not in args.env_id:
+        raise gym.error.Error("--randomize knows the physics of LunarLander only")
+    if args.vectorization == "async" and len(args.seed) > 1:  # their processes may start none
+        raise gym.error.Error("--vectorization async takes one --seed")
+    vectorization = args.vectorization if mode == "Disabled" else "sync"
+    envs = gym.make_vec(
+        args.env_id, count, vectorization, {"autoreset_mode": mode}, wrappers, **kwargs)
+    obs_space, space = envs.single_observation_space, envs.single_action_space
+    if not (isinstance(obs_space, gym.spaces.Box) and len(obs_space.shape) == 1
+            and isinstance(space, gym.spaces.Discrete) and space.start == 0):
+        envs.close()
+        raise gym.error.Error(f"needs a flat Box of observations and Discrete actions, from 0 on "
+                              f"(see docs/guide.md); has {obs_space} and {space}")
+    return gym.wrappers.vector.TransformObservation(
+        envs, lambda obs: check_finite(f"an observation of {args.env_id}", obs.astype(float)))
 
 
 class RandomPhysics(gym.Wrapper):
@@ -233,14 +272,24 @@ class RandomPhysics(gym.Wrapper):
     An agent is often meant for a world that we know only roughly, say a robot that is trained in a
     simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
     observe φ, so one policy has to do for all moons. Returns (mean ± std over ten agents) by
-    `--watch AGENT.pt --seed 99 --eval-episodes 100`, without and with `--randomize`:
+    `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` and `--randomize`:
 
         trained             usual moon    random moons
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
     Here it does not pay: on random moons the two are within the noise. It may where worlds are far
-    from the simulator. For an environment of your own, draw its numbers here, and edit `make_envs`.
+    from the simulator.
+
+    For an environment of your own write such a wrapper, and change the first three lines of
+    `make_envs`. Draw from ranges as wide as your doubts: this moon refuses a gravity of −12, and
+    its documentation recommends these winds. Set the numbers before the environment's own reset,
+    and compute anew what it has derived from them. For CartPole's poles, for instance:
+
+        pole = self.unwrapped
+        pole.length, pole.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
+        pole.total_mass = pole.masspole + pole.masscart
+        pole.polemass_length = pole.masspole * pole.length
     """
 
     def reset(self, *, seed=None, options=None):
@@ -261,58 +310,61 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
-        set_seed(make_seeds(seed, stream=0, count=1)[0])
-    envs = make_envs(  # `rollout` resets them
-        args.env_id, args.num_envs, "Disabled", args.randomize, args.vectorization)
-    eval_envs = make_envs(args.env_id, args.eval_episodes, "NextStep", args.randomize)
-    obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
-    agent = Agent(envs, args.hidden_size)
-    optimizer = torch.optim.Adam(agent.parameters(), eps=1e-5, fused=True)  # fused is faster
-    log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-    bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
-    while env_step < args.total_steps:
-        # 1. Anneal.
-        remaining = 1 - env_step / args.total_steps
-        optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
-        # 2. Collect a rollout.
-        batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
-        # 3. Scale the rewards.
-        rewards = batch.rewards.float() * args.reward_scale
-        # 4. Estimate advantages and targets, which are constants in 5.
-        with torch.no_grad():
-            values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
-        advantages = compute_gae(
-            rewards, values, next_values, batch.terminated, batch.done, args.gamma, args.gae_lambda)
-        targets = advantages + values
-        # 5. Update actor and critic: (T, N, …) -> (B, …).
-        samples = [x.flatten(0, 1) for x in (batch.obs, batch.actions, advantages, targets)]
-        metrics = optimise(
-            agent, optimizer, *samples, remaining * args.entropy_coef, args.max_grad_norm)
-        # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
-        agent.obs_stats.update(batch.obs.flatten(0, 1))
+    seed_generators(seed)
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
+          closing(make_envs(args, args.num_envs, "Disabled")) as envs):  # `rollout` resets them
+        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
+        optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
+        log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
+        bar = tqdm(total=args.total_steps, disable=index > 0)
+        obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
+        while env_step < args.total_steps:
+            # 1. Anneal.
+            remaining = 1 - env_step / args.total_steps
+            optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
+            entropy_coef = remaining * args.entropy_coef
+            # 2. Collect a rollout.
+            batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
+            # 3. Scale the rewards.
+            rewards = batch.rewards.float() * args.reward_scale
+            # 4. Estimate advantages and targets, which are constants in 5.
+            with torch.no_grad():
+                values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
+            advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
+                                     gamma=args.gamma, gae_lambda=args.gae_lambda)
+            targets = advantages + values
+            # 5. Update actor and critic.
+            metrics = optimise(agent, optimizer, batch.obs, batch.actions, advantages, targets,
+                               entropy_coef=entropy_coef, max_grad_norm=args.max_grad_norm)
+            # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
+            agent.obs_stats.update(batch.obs)
 
-        if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
-        # How well V predicted its targets, up to a constant: 1 is perfect, 0 or less useless.
-        metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
-        env_step += rewards.numel()
-        bar.update(min(env_step, args.total_steps) - bar.n)
-        log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                    "return": np.mean(returns) if returns else np.nan, **metrics})
-        if env_step >= evals_done / args.num_evals * args.total_steps:
-            evals_done += 1
-            log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
-            bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
-            save(folder / f"seed-{seed}", log, agent, args)
+            # How well V predicted its targets, up to a constant: 1 is perfectly, 0 or less that it
+            # is useless, or that nothing is left to explain. (As target − V = A.)
+            metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
+            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
+            weights = nn.utils.parameters_to_vector(agent.parameters())
+            check_finite("a weight (is --learning-rate too large?)", weights.detach())
+            env_step += rewards.numel()
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
+                        "return": np.mean(returns) if returns else np.nan, **metrics})
+            # After the first update, then whenever another 1/num_evals of all steps is done.
+            if env_step >= evals_done / args.num_evals * args.total_steps:
+                evals_done += 1
+                log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
+                bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
+                save(folder / f"seed-{seed}", log, agent, {**vars(args), "seed": [seed]})
 
 
 # --- Options --------------------------------------------------------------------------------------
 
 
-def parse_args(argv=None):
+def parse_args(argv=None, known=None):
+    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
     parser = argparse.ArgumentParser(
-        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+        usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=in_range(int, 1), default=1_000_000, help="environment steps in all")
@@ -323,7 +375,7 @@ def parse_args(argv=None):
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async takes one seed")
-    add("--randomize", action="store_true", help="LunarLander: other physics in every episode")
+    add("--randomize", action=argparse.BooleanOptionalAction, default=False, help="random moons")
     add("--rollout-steps", type=in_range(int, 1), default=64, help="steps of each in a rollout")
     add("--reward-scale", type=in_range(float, 0), default=0.1, help="multiplies rewards")
     add("--learning-rate", type=in_range(float, 0), default=2e-3, help="falls linearly to 0")
@@ -332,7 +384,7 @@ def parse_args(argv=None):
     add("--entropy-coef", type=in_range(float, 0), default=0.01, help="falls linearly to 0")
     add("--max-grad-norm", type=in_range(float, 0), default=0.5, help="largest, for each network")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
-    return parser.parse_args(argv)
+    return parser.parse_args(argv, known)
 
 
 def in_range(kind, low, high=1e12):
@@ -354,94 +406,114 @@ def in_range(kind, low, high=1e12):
 
 def make_seeds(seed, stream, count):
     """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
+    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
 
 
-def make_envs(env_id, count, autoreset_mode, randomize, vectorization="sync", **kwargs):
-    """`count` environments; those of autoreset mode "NextStep" reset themselves when done."""
-    if randomize and "LunarLander" not in env_id:
-        sys.exit("--randomize: knows the physics of LunarLander only")
-    try:
-        envs = gym.make_vec(env_id, count, vectorization, {"autoreset_mode": autoreset_mode}, [
-            lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 10_000),
-            Tidy, *([RandomPhysics] if randomize else [])], **kwargs)
-    except (gym.error.Error, ImportError) as error:
-        sys.exit(f"--env-id {env_id}: {error}")
-    obs_space, space = envs.single_observation_space, envs.single_action_space
-    if not (isinstance(obs_space, gym.spaces.Box) and len(obs_space.shape) == 1
-            and isinstance(space, gym.spaces.Discrete) and space.start == 0):
-        envs.close()
-        message = f"{env_id}: needs a flat Box, Discrete actions from 0; has {obs_space}, {space}"
-        sys.exit(" ".join(message.split()))  # in one line
-    return gym.wrappers.vector.TransformObservation(envs, np.asarray_chkfinite)  # NaN: ValueError
+def seed_generators(seed):
+    """Seed what the agent, and some environments, draw from."""
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:
+        set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
 class Tidy(gym.Wrapper):
-    """The only `info` is the return, when an episode has ended; it must be finite."""
+    """An environment whose spaces no other shares, and whose `info` is an episode's return."""
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
-        if seed is not None:  # some environments draw from their spaces
-            self.observation_space.seed(seed)
-            self.action_space.seed(seed)
+        for name in ("observation_space", "action_space") if seed is not None else ():
+            space = copy.deepcopy(getattr(self.unwrapped, name))
+            space.seed(seed)  # some environments draw from them
+            vars(self.unwrapped)[name] = space
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += float(reward)
-        done = terminated or truncated
-        info = {"return": np.asarray_chkfinite(self.total).item()} if done else {}
+        reward = np.asarray(reward).item()
+        self.total += reward
+        info = {"return": self.total} if terminated or truncated else {}
         return obs, reward, terminated, truncated, info
 
 
+def check_finite(name, x):
+    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    if not np.isfinite(np.asarray(x)).all():
+        raise ValueError(f"{name} is NaN or infinite")
+    return x
+
+
 def evaluate(agent, envs, seed):
-    """The mean return of one episode in each environment, with deterministic actions."""
+    """The mean return of one episode in each environment, with deterministic actions.
+
+    It ends after 1,000 steps if there is no time limit. It leaves the generators as they were.
+    """
+    states = np.random.get_state(), random.getstate(), torch.get_rng_state()
+    seed_generators(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # environments that are done go on, but no longer count
+    for _ in range(envs.spec.max_episode_steps or 1000):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += playing * rewards
+        returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
+        if not playing.any():  # environments that are done went on, but did not count
+            break
+    for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
+        restore(state)
     return returns.mean().item()
 
 
-def save(path, log, agent, args):
+def save(path, log, agent, options):
     """Write new files, then put them in place of the old ones, so that none is ever cut short."""
     pd.DataFrame(log).to_csv(f"{path}.csv.new", index=False)
-    torch.save({**vars(args), "agent": agent.state_dict()}, f"{path}.pt.new")
+    torch.save({"agent": agent.state_dict(), "options": options, "script": Path(__file__).name},
+               f"{path}.pt.new")
     for suffix in "csv", "pt":
         Path(f"{path}.{suffix}.new").replace(f"{path}.{suffix}")
 
 
-def watch(args):
-    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
+def watch(path):
+    """Print a saved agent's mean return; film at most 300 frames of an episode in a GIF beside it.
+
+    Options are those of its training, except for those typed now.
+    """
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     try:
-        saved = torch.load(args.watch, weights_only=True)
-        envs = make_envs(saved["env_id"], args.eval_episodes, "NextStep", args.randomize)
-        agent = Agent(envs, saved["hidden_size"])
+        saved = torch.load(path, weights_only=True)
+        if saved["options"].keys() != vars(parse_args([])).keys():
+            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+        args = parse_args(known=argparse.Namespace(**saved["options"]))
+        envs = make_envs(args, args.eval_episodes)
+        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
-        for set_seed in np.random.seed, random.seed:  # environments may use these
-            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
-        print("return:", evaluate(agent, envs, args.seed[0]))
-        film = make_envs(
-            saved["env_id"], 1, "NextStep", args.randomize, render_mode="rgb_array_list")
-        evaluate(agent, film, args.seed[0])
-        imageio.imwrite(args.watch.with_suffix(".gif"), film.render()[0][::5], duration=50, loop=0)
-    except Exception as error:  # no agent of this script, an environment that cannot be drawn, …
-        sys.exit(f"--watch {args.watch}: {error!r}")
+    except Exception as error:
+        sys.exit(f"--watch {path}: no agent that can be played: {error!r}")
+    print("return:", evaluate(agent, envs, args.seed[0]))
+    try:
+        envs = make_envs(args, 1, render_mode="rgb_array")
+        fps = envs.metadata.get("render_fps", 20)
+        every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
+        obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
+        with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
+            for step in range(300 * every):
+                if step % every == 0:
+                    film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
+                obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
+                if terminated | truncated:
+                    break
+    except Exception as error:
+        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
 
 
 def plot(folder):
-    """Draw learning_curve.png; print the end of each seed's log."""
+    """Draw learning_curve.png, a panel for each metric; print the end of each seed's log."""
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
+    metrics = list(log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"]))
     figure = Figure(figsize=(12, 8), layout="constrained")
-    diagnostics = ["value_loss", "explained_variance", "entropy"]
-    axes = figure.subplot_mosaic([["return"] * len(diagnostics), diagnostics], height_ratios=(3, 1))
-    for name, ax in axes.items():
-        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
+    axes = figure.subplot_mosaic([["return"] * len(metrics), metrics], height_ratios=(3, 1))
+    for name in "return", "eval_return", *metrics:
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None,
+                     ax=axes.get(name, axes["return"]), legend=name == "eval_return",
                      alpha=0.4 if name == "return" else 1.0)
-    sns.lineplot(log, x="env_step", y="eval_return", hue="seed", estimator=None, ax=axes["return"])
     axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
     axes["explained_variance"].set_ylim(-1, 1)
     figure.savefig(folder / "learning_curve.png")
@@ -452,21 +524,33 @@ def main():
     sys.path.append(str(Path.cwd()))  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
-        return watch(args)
-    if len(set(args.seed)) < len(args.seed) or (args.vectorization == "async" and args.seed[1:]):
-        sys.exit(f"--seed {args.seed}: each only once, and only one with async")
-    make_envs(args.env_id, 1, "Disabled", args.randomize).close()  # ends here if they are wrong
+        return watch(args.watch)
+    if len(set(args.seed)) < len(args.seed):
+        sys.exit("--seed: each only once")
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
-    folder.mkdir(parents=True)
+    try:
+        envs = make_envs(args, 1)
+        envs.close()
+        folder.mkdir(parents=True)
+    except (gym.error.Error, ImportError, TypeError, OSError) as error:
+        sys.exit(" ".join(f"{args.env_id}: {error}".split()))
+    if not envs.spec.max_episode_steps:
+        print(f"{args.env_id} has no time limit, so evaluations end after 1,000 steps; to choose "
+              "another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
-    finally:  # after Ctrl-C, too
+    except KeyboardInterrupt:  # no traceback
+        sys.excepthook = lambda *_: print("interrupted")
+        raise
+    finally:
         if any(folder.glob("*.csv")):
             plot(folder)
+        else:
+            shutil.rmtree(folder)
 
 
 if __name__ == "__main__":

@@ -399,8 +399,8 @@ def make_envs(args, count, mode="NextStep", **kwargs):
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
             and np.abs([space.low, space.high], dtype=float).max() < 1e30):
         envs.close()
-        raise TypeError(f"{args.env_id} needs flat Boxes, for actions of floats with bounds (see "
-                        f"docs/guide.md); it has {obs_space} and {space}")
+        raise gym.error.Error("needs flat Boxes of observations and of actions, floats with bounds "
+                              f"(see docs/guide.md); has {obs_space} and {space}")
     envs = gym.wrappers.vector.TransformObservation(
         envs, lambda obs: check_finite(f"an observation of {args.env_id}", obs.astype(float)))
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))

@@ -5,10 +5,12 @@
 # ///
 """REINFORCE: policy gradients from whole episodes, in one file.
 
-    python reinforce_mujoco.py --seed 1 2 3
+    python reinforce_mujoco.py --seed 1 2 3             with uv: uv run reinforce_mujoco.py --seed 1
+    python reinforce_mujoco.py --watch runs/…/seed-1.pt     replays an agent and films it
 
-trains three agents side by side to balance a pole on a cart. In a good run the return climbs within
-a minute from below 10 (random actions earn 5) to 1000, the most that an episode can earn.
+The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
+and a figure in a new folder in runs/. In a good run the return climbs within a minute from below 10
+(random actions earn 5) to 1000, the most that an episode can earn.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
@@ -29,12 +31,13 @@ learns by trial and error: actions followed by high rewards become more likely.
          --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
   4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
      those with A < 0 less likely (`policy_loss` says why). The critic takes one on
-     ½·mean((V(s) − G)²).
+     ½·mean((V(s) − G)²), which is least where V(s) is the mean of G.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
-order of 1) and, with any baseline, V(s_T) for the rewards that a time limit cuts off [3].
+order of 1) and, with any baseline, V(s_T) for the rewards that a time limit cuts off [3]. Nothing
+is rescaled: where observations, actions or rewards are far from 1, PPO's file will do better.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -44,10 +47,13 @@ In shapes: T steps of an episode, B of a batch; D numbers in an observation, K i
 """
 
 import argparse
+import copy
 import os
 import random
+import shutil
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import gymnasium as gym
@@ -66,17 +72,17 @@ from tqdm import tqdm
 class Agent(nn.Module):
     """The actor π(a|s) and the critic V(s)."""
 
-    def __init__(self, envs, hidden_size):
+    def __init__(self, obs_space, action_space, hidden_size):
         super().__init__()
-        inputs, outputs = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
+        inputs, outputs = obs_space.shape[0], action_space.shape[0]
         self.actor = mlp(inputs, hidden_size, 2 * outputs, last_gain=0.01)
         self.critic = mlp(inputs, hidden_size, 1, last_gain=1.0)
 
     def policy(self, obs):
-        """Observations (…, D) -> π(·|s), whose log_prob sums over the K numbers of an action."""
+        """Observations (…, D) -> π(·|s): a Gaussian for each of the K numbers of an action."""
         mean, raw_std = self.actor(obs.float()).chunk(2, dim=-1)
         std = nn.functional.softplus(raw_std) + 0.1  # at least 0.1, so that it keeps exploring
-        return torch.distributions.Independent(torch.distributions.Normal(mean, std), 1)
+        return torch.distributions.Normal(mean, std)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,)."""
@@ -92,36 +98,35 @@ class Agent(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is usual
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 makes up for tanh
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
 
 
-# --- An update, point by point --------------------------------------------------------------------
+# --- The steps of an update -----------------------------------------------------------------------
 
 
 def play(env, agent):
     """1. One episode of T steps.
 
-    Returns observations (T, D), actions (T, K) as drawn (the environment clips them to its bounds),
-    T rewards, and G_T, the value after them: 0 if the episode ended for good (the pole fell),
-    V(s_T) if a time limit cut it off.
+    Returns observations (T, D), actions (T, K) as drawn, T rewards, and G_T, the value after them:
+    0 if the episode ended for good (the pole fell), V(s_T) if a time limit cut it off.
     """
     all_obs, actions, rewards, done = [], [], [], False
     obs, _ = env.reset()
     while not done:
-        all_obs.append(obs.copy())  # some environments return one array again and again
+        all_obs.append(obs)
         actions.append(agent.act(obs))
         obs, reward, terminated, truncated, _ = env.step(actions[-1])
-        rewards.append(float(reward))
+        rewards.append(reward)
         done = terminated or truncated
     last_value = 0.0 if terminated else agent.value(torch.tensor(obs)).item()
     return torch.tensor(np.stack(all_obs)), torch.tensor(np.stack(actions)), rewards, last_value
 
 
-def sum_rewards(rewards, last_value, gamma):
-    """2. G_t = r_t + γ·G_{t+1}, with G_T = `last_value`. A list of T numbers -> (T,)."""
+def compute_rewards_to_go(rewards, last_value, gamma):
+    """2. G_t = r_t + γ·G_{t+1}, from G_T = `last_value` backwards. A list of T numbers -> (T,)."""
     rewards_to_go, G = [], last_value
     for reward in reversed(rewards):
         G = reward + gamma * G
@@ -155,18 +160,22 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = Σ_t Σ_i E[r_i·∇log π(a_t|s_t)]
 
-    *Less noise.* Whatever happened before a_t, the mean of ∇log π(a_t|s_t) is ∫ π·∇log π da =
-    ∇∫ π da = ∇1 = 0. It stays 0 when multiplied by what is known before a_t: an earlier reward r_i,
-    i < t, or a baseline b(s_t). So we may drop the earlier rewards and subtract b(s_t):
+    *Less noise.* Given all that came before a_t, the mean of ∇log π(a_t|s_t) is 0:
+
+        ∫ π·∇log π da = ∫ ∇π da = ∇∫ π da = ∇1 = 0
+
+    It stays 0 when multiplied by anything that is fixed by then: an earlier reward, or a number
+    b(s_t). Such terms add nothing but noise, so we leave the earlier rewards out. And we may
+    subtract a b(s_t) to make the rest smaller. If b ≈ V, bad actions get a negative factor; without
+    it, positive rewards push up every action that was tried, the better ones only more.
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    Without a baseline, positive rewards push up every action that was tried; a bad one loses only
-    because others gain more, as probabilities sum to 1. With b ≈ V its A < 0 pushes it down itself.
-
-    The loss, with A constant, has this gradient on average (minus: optimisers descend), except that
-      - the mean is over steps, not episodes, which shrinks it where episodes are long;
-      - γ < 1, and b = mean(G), which depends on a_t a little, accept some bias for less noise;
+    A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step on the loss is one
+    up the mean return (minus: optimisers descend). It differs from the formula as follows:
+      - a mean over steps, not episodes, only rescales the gradient, which Adam nearly undoes;
+      - γ < 1, without the factor γ^t that [2] has, accepts some bias for less noise;
+      - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
     """
     return -(advantages * log_probs).mean()
@@ -175,14 +184,18 @@ def policy_loss(log_probs, advantages):
 def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     """3 and 4, on the B steps of a batch. Returns metrics."""
     values = agent.value(obs)
-    advantages = compute_advantages(rewards_to_go, values.detach(), baseline)  # constants
+    # Constants: the actor must not make V worse to look better.
+    advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
     policy = agent.policy(obs)
-    loss_pi = policy_loss(policy.log_prob(actions), advantages)
+    loss_pi = policy_loss(policy.log_prob(actions).sum(-1), advantages)
     loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    return {"value_loss": loss_v.item(), "policy_std": policy.stddev.mean().item()}
+    # How well V predicted G, up to a constant: 1 is perfectly, 0 or less is of no use.
+    explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
+    return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
+            "policy_std": policy.stddev.mean().item()}
 
 
 # --- Training -------------------------------------------------------------------------------------
@@ -192,45 +205,49 @@ def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
     torch.set_num_threads(1)  # networks this small gain nothing from more threads
     seed = args.seed[index]
-    for set_seed in torch.manual_seed, np.random.seed, random.seed:  # agent and environments
-        set_seed(make_seeds(seed, stream=0, count=1)[0])
-    env = make_env(args.env_id)
-    eval_envs = gym.vector.SyncVectorEnv([lambda: make_env(args.env_id)] * args.eval_episodes)
-    env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it again, without a seed
-    agent = Agent(eval_envs, args.hidden_size)
-    optimizer = torch.optim.Adam(agent.parameters(), fused=True)  # fused is faster
-    log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-    bar = tqdm(total=args.total_steps, disable=index > 0 or sys.stderr is None)
-    while env_step < args.total_steps:
-        optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
-        # 1. Play.
-        episodes = [play(env, agent) for _ in range(args.batch_episodes)]
-        obs, actions, rewards, last_values = zip(*episodes)
-        # 2. Compute the rewards to go.
-        rewards_to_go = [sum_rewards(r, v, args.gamma) for r, v in zip(rewards, last_values)]
-        # 3 and 4. Subtract the baseline, take a gradient step.
-        obs, actions, rewards_to_go = torch.cat(obs), torch.cat(actions), torch.cat(rewards_to_go)
-        metrics = optimise(agent, optimizer, obs, actions, rewards_to_go, args.baseline)
+    seed_generators(seed)
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # side by side: faster
+          closing(make_envs(args, 1)) as envs):
+        (env,) = envs.envs
+        agent = Agent(env.observation_space, env.action_space, args.hidden_size)
+        optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
+        log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
+        bar = tqdm(total=args.total_steps, disable=index > 0)
+        env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it without a seed
+        while env_step < args.total_steps:
+            optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
+            # 1. Play.
+            episodes = [play(env, agent) for _ in range(args.batch_episodes)]
+            obs, actions, rewards, last_values = zip(*episodes)
+            # 2. Compute the rewards to go.
+            rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
+                             for r, last_value in zip(rewards, last_values)]
+            # 3 and 4. Subtract the baseline, take a gradient step.
+            metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
+                               torch.cat(rewards_to_go), args.baseline)
 
-        if not nn.utils.parameters_to_vector(agent.parameters()).isfinite().all():
-            raise ValueError("a weight is not finite: are rewards NaN, infinite or huge?")
-        env_step += len(obs)
-        bar.update(min(env_step, args.total_steps) - bar.n)
-        log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                    "return": np.mean([sum(x) for x in rewards]), **metrics})
-        if env_step >= evals_done / args.num_evals * args.total_steps:
-            evals_done += 1
-            log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
-            bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
-            save(folder / f"seed-{seed}", log, agent, args)
+            weights = nn.utils.parameters_to_vector(agent.parameters())
+            check_finite("a weight (is --learning-rate too large?)", weights.detach())
+            env_step += sum(map(len, rewards))
+            bar.update(min(env_step, args.total_steps) - bar.n)
+            log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
+                        "return": np.mean([sum(x) for x in rewards]), **metrics})
+            # After the first update, then whenever another 1/num_evals of all steps is done.
+            if env_step >= evals_done / args.num_evals * args.total_steps:
+                evals_done += 1
+                log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
+                bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
+                save(folder / f"seed-{seed}", log, agent, {**vars(args), "seed": [seed]})
 
 
 # --- Options --------------------------------------------------------------------------------------
 
 
-def parse_args(argv=None):
+def parse_args(argv=None, known=None):
+    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
     parser = argparse.ArgumentParser(
-        usage=argparse.SUPPRESS, formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+        usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
     add("--total-steps", type=in_range(int, 1), default=100_000, help="environment steps in all")
@@ -244,7 +261,7 @@ def parse_args(argv=None):
     add("--learning-rate", type=in_range(float, 0), default=3e-3, help="falls linearly to 0")
     add("--gamma", type=in_range(float, 0, 1), default=0.98, help="discount factor")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
-    return parser.parse_args(argv)
+    return parser.parse_args(argv, known)
 
 
 def in_range(kind, low, high=1e12):
@@ -266,94 +283,132 @@ def in_range(kind, low, high=1e12):
 
 def make_seeds(seed, stream, count):
     """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) >> 1).tolist()
+    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
 
 
-def make_env(env_id, **kwargs):
-    """One environment, which clips actions to its bounds. ValueError if it shows NaN or inf."""
-    try:
-        env = gym.make(env_id, **kwargs)
-    except (gym.error.Error, ImportError) as error:
-        sys.exit(f"--env-id {env_id}: {error}")
-    obs_space, space = env.observation_space, env.action_space
+def seed_generators(seed):
+    """Seed what the agent, and some environments, draw from."""
+    for set_seed in torch.manual_seed, np.random.seed, random.seed:
+        set_seed(make_seeds(seed, stream=0, count=1)[0])
+
+
+def make_envs(args, count, **kwargs):
+    """`count` environments, which reset themselves when done."""
+    envs = gym.make_vec(args.env_id, count, "sync", None, [
+        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
+    obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
-        env.close()
-        sys.exit(" ".join(f"{env_id}: needs flat float Boxes; has {obs_space}, {space}".split()))
-    env = Tidy(gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 10_000))
-    env = gym.wrappers.TransformObservation(env, np.asarray_chkfinite, obs_space)
-    return gym.wrappers.TransformAction(
-        env, lambda x: x.clip(space.low, space.high).astype(space.dtype), space)
+        envs.close()
+        raise gym.error.Error("needs flat Boxes of observations and of actions, floats (see "
+                              f"docs/guide.md); has {obs_space} and {space}")
+    return envs
 
 
 class Tidy(gym.Wrapper):
-    """The only `info` is the return, when an episode has ended; it must be finite."""
+    """An environment whose spaces no other shares, which clips actions and gives finite numbers."""
 
     def reset(self, *, seed=None, options=None):
-        self.total = 0.0
-        if seed is not None:  # some environments draw from their spaces
-            self.observation_space.seed(seed)
-            self.action_space.seed(seed)
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
+        for name in ("observation_space", "action_space") if seed is not None else ():
+            space = copy.deepcopy(getattr(self.unwrapped, name))
+            space.seed(seed)  # some environments draw from them
+            vars(self.unwrapped)[name] = space
+        return self.look(self.env.reset(seed=seed, options=options or None)[0]), {}
 
     def step(self, action):
+        """Clipping is a part of the environment: π(a|s) is the density of a as it was drawn."""
+        space = self.action_space
+        action = action.clip(space.low, space.high).astype(space.dtype)
         obs, reward, terminated, truncated, _ = self.env.step(action)
-        self.total += float(reward)
-        done = terminated or truncated
-        info = {"return": np.asarray_chkfinite(self.total).item()} if done else {}
-        return obs, reward, terminated, truncated, info
+        reward = check_finite(f"a reward of {self.spec.id}", np.asarray(reward, float).item())
+        return self.look(obs), reward, terminated, truncated, {}
+
+    def look(self, obs):
+        return check_finite(f"an observation of {self.spec.id}", np.array(obs, float))
+
+
+def check_finite(name, x):
+    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    if not np.isfinite(np.asarray(x)).all():
+        raise ValueError(f"{name} is NaN or infinite")
+    return x
 
 
 def evaluate(agent, envs, seed):
-    """The mean return of one episode in each environment, with deterministic actions."""
+    """The mean return of one episode in each environment, with deterministic actions.
+
+    It ends after 1,000 steps if there is no time limit. It leaves the generators as they were.
+    """
+    states = np.random.get_state(), random.getstate(), torch.get_rng_state()
+    seed_generators(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
-    while playing.any():  # environments that are done go on, but no longer count
+    for _ in range(envs.spec.max_episode_steps or 1000):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += playing * rewards
+        returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
+        if not playing.any():  # environments that are done went on, but did not count
+            break
+    for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
+        restore(state)
     return returns.mean().item()
 
 
-def save(path, log, agent, args):
+def save(path, log, agent, options):
     """Write new files, then put them in place of the old ones, so that none is ever cut short."""
     pd.DataFrame(log).to_csv(f"{path}.csv.new", index=False)
-    torch.save({**vars(args), "agent": agent.state_dict()}, f"{path}.pt.new")
+    torch.save({"agent": agent.state_dict(), "options": options, "script": Path(__file__).name},
+               f"{path}.pt.new")
     for suffix in "csv", "pt":
         Path(f"{path}.{suffix}.new").replace(f"{path}.{suffix}")
 
 
-def watch(args):
-    """Print a saved agent's mean return; film an episode, every fifth frame, in a GIF beside it."""
+def watch(path):
+    """Print a saved agent's mean return; film at most 300 frames of an episode in a GIF beside it.
+
+    Options are those of its training, except for those typed now.
+    """
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
     try:
-        saved = torch.load(args.watch, weights_only=True)
-        envs = gym.vector.SyncVectorEnv([lambda: make_env(saved["env_id"])] * args.eval_episodes)
-        agent = Agent(envs, saved["hidden_size"])
+        saved = torch.load(path, weights_only=True)
+        if saved["options"].keys() != vars(parse_args([])).keys():
+            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+        args = parse_args(known=argparse.Namespace(**saved["options"]))
+        envs = make_envs(args, args.eval_episodes)
+        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
-        for set_seed in np.random.seed, random.seed:  # environments may use these
-            set_seed(make_seeds(args.seed[0], stream=0, count=1)[0])
-        print("return:", evaluate(agent, envs, args.seed[0]))
-        os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
-        film = gym.vector.SyncVectorEnv(
-            [lambda: make_env(saved["env_id"], render_mode="rgb_array_list")])
-        evaluate(agent, film, args.seed[0])
-        imageio.imwrite(args.watch.with_suffix(".gif"), film.render()[0][::5], duration=50, loop=0)
-    except Exception as error:  # no agent of this script, an environment that cannot be drawn, …
-        sys.exit(f"--watch {args.watch}: {error!r}")
+    except Exception as error:
+        sys.exit(f"--watch {path}: no agent that can be played: {error!r}")
+    print("return:", evaluate(agent, envs, args.seed[0]))
+    try:
+        envs = make_envs(args, 1, render_mode="rgb_array")
+        fps = envs.metadata.get("render_fps", 20)
+        every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
+        obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
+        with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
+            for step in range(300 * every):
+                if step % every == 0:
+                    film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
+                obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
+                if terminated | truncated:
+                    break
+    except Exception as error:
+        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
 
 
 def plot(folder):
-    """Draw learning_curve.png; print the end of each seed's log."""
+    """Draw learning_curve.png, a panel for each metric; print the end of each seed's log."""
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
+    metrics = list(log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"]))
     figure = Figure(figsize=(12, 8), layout="constrained")
-    diagnostics = ["value_loss", "policy_std"]
-    axes = figure.subplot_mosaic([["return"] * len(diagnostics), diagnostics], height_ratios=(3, 1))
-    for name, ax in axes.items():
-        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, legend=False, ax=ax,
+    axes = figure.subplot_mosaic([["return"] * len(metrics), metrics], height_ratios=(3, 1))
+    for name in "return", "eval_return", *metrics:
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None,
+                     ax=axes.get(name, axes["return"]), legend=name == "eval_return",
                      alpha=0.4 if name == "return" else 1.0)
-    sns.lineplot(log, x="env_step", y="eval_return", hue="seed", estimator=None, ax=axes["return"])
     axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
+    axes["explained_variance"].set_ylim(-1, 1)
     figure.savefig(folder / "learning_curve.png")
     print(folder, log.groupby("seed", sort=False)[["env_step", "eval_return"]].last(), sep="\n")
 
@@ -362,21 +417,33 @@ def main():
     sys.path.append(str(Path.cwd()))  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
-        return watch(args)
+        return watch(args.watch)
     if len(set(args.seed)) < len(args.seed):
-        sys.exit(f"--seed {args.seed}: each only once")
-    make_env(args.env_id).close()  # if --env-id is wrong, the program ends here
+        sys.exit("--seed: each only once")
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
-    folder.mkdir(parents=True)
+    try:
+        envs = make_envs(args, 1)
+        envs.close()
+        folder.mkdir(parents=True)
+    except (gym.error.Error, ImportError, TypeError, OSError) as error:
+        sys.exit(" ".join(f"{args.env_id}: {error}".split()))
+    if not envs.spec.max_episode_steps:
+        print(f"{args.env_id} has no time limit, so evaluations end after 1,000 steps; to choose "
+              "another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
-    finally:  # after Ctrl-C, too
+    except KeyboardInterrupt:  # no traceback
+        sys.excepthook = lambda *_: print("interrupted")
+        raise
+    finally:
         if any(folder.glob("*.csv")):
             plot(folder)
+        else:
+            shutil.rmtree(folder)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from types import ModuleType
 from typing import NamedTuple
 
-import gymnasium as gym
 import pytest
 import torch
 from harness import STRICT, run, run_folder
@@ -36,17 +35,22 @@ class Script(NamedTuple):
     def world(self, name, place="harness"):
         return f"{place}:{self.worlds}{name}-v0"
 
-    def envs(self, env_id, count, mode="NextStep"):
-        """Environments; in this mode they reset themselves."""
-        if self.name == "reinforce_mujoco":
-            return gym.vector.SyncVectorEnv([lambda: self.module.make_env(env_id)] * count)
-        randomize = {"randomize": False} if self.name == "a2c_vector" else {}
-        return self.module.make_envs(env_id, count, mode, **randomize)
+    def args(self, *options):
+        return self.module.parse_args([str(x) for x in options])
+
+    def envs(self, env_id, count, *mode):
+        """Environments; by default they reset themselves."""
+        return self.module.make_envs(self.args("--env-id", env_id), count, *mode)
+
+    def agent(self, env_id, hidden_size=64):
+        envs = self.envs(env_id, 1)
+        return self.module.Agent(
+            envs.single_observation_space, envs.single_action_space, hidden_size)
 
     def train(self, folder, *arguments, seed=3, env_id=None):
         """Train a seed in this process; returns the path of its files, without a suffix."""
-        options = ["--env-id", env_id or self.env_id, *self.small, *map(str, arguments)]
-        args = self.module.parse_args([*options, "--seed", str(seed)])
+        args = self.args(
+            "--env-id", env_id or self.env_id, *self.small, *arguments, "--seed", seed)
         folder.mkdir(parents=True, exist_ok=True)
         self.module.train(0, args, folder)
         return folder / f"seed-{seed}"

@@ -63,12 +63,12 @@ def load(path):
 
 
 def spy(monkeypatch, module, name, keep):
-    """A list of what keep(*arguments) returns whenever the function `name` is called."""
+    """A list of what keep(…) returns whenever the function `name` is called, of its arguments."""
     kept, function = [], getattr(module, name)
 
-    def spied(*arguments):
-        kept.append(keep(*arguments))
-        return function(*arguments)
+    def spied(*arguments, **options):
+        kept.append(keep(*arguments, **options))
+        return function(*arguments, **options)
 
     monkeypatch.setattr(module, name, spied)
     return kept
