@@ -1,7 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
 # dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
-#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
+#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31"]
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
@@ -178,7 +178,7 @@ def rollout(envs, agent, obs, num_steps):
         if done.any():
             returns += infos["return"][done].tolist()
             obs, _ = envs.reset(options={"reset_mask": done})
-    columns = (torch.tensor(np.stack(column)) for column in zip(*steps))
+    columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
     return Transitions(*columns), obs, returns
 
 
@@ -215,7 +215,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
-    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise.
+    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
+    ends there, this is the reward to go minus V(s_t): REINFORCE with V as its baseline.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -288,7 +289,7 @@ def train(index, args, folder):
         bar = tqdm(total=args.total_steps, disable=index > 0)
         obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
         while env_step < args.total_steps:
-            # 1. Anneal.
+            # 1. Anneal: the smaller σ, the more a step in μ changes π, so the rate falls with it.
             remaining = 1 - env_step / args.total_steps
             optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
             agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
@@ -298,7 +299,7 @@ def train(index, args, folder):
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():
+            with torch.no_grad():  # s_{t+1} is not the next row where an episode has ended
                 old_policy = agent.policy(batch.obs)
                 old_log_probs = old_policy.log_prob(batch.actions).sum(-1)
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -314,8 +315,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets, up to a constant: 1 is perfectly, 0 or less that it
-            # is useless, or that nothing is left to explain. (As target − V = A.)
+            # How well V predicted its targets (target − V = A): 1 is perfectly, 0 or less means
+            # that V is useless, or that nothing is left to explain.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             weights = nn.utils.parameters_to_vector(agent.parameters())
@@ -433,9 +434,10 @@ def check_finite(name, x):
 
 
 def evaluate(agent, envs, seed):
-    """The mean return of one episode in each environment, with deterministic actions.
+    """The mean return of one episode in each environment, without noise in the actions.
 
-    It ends after 1,000 steps if there is no time limit. It leaves the generators as they were.
+    It always has the same starts, and leaves the generators as they were. Without a time limit it
+    ends after 1,000 steps.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     seed_generators(seed)
@@ -462,7 +464,7 @@ def save(path, log, agent, options):
 
 
 def watch(path):
-    """Print a saved agent's mean return; film at most 300 frames of an episode in a GIF beside it.
+    """Print a saved agent's mean return; film up to 200 frames of an episode in a GIF beside it.
 
     Options are those of its training, except for those typed now.
     """
@@ -484,7 +486,7 @@ def watch(path):
         every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
         obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
         with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
-            for step in range(300 * every):
+            for step in range(200 * every):
                 if step % every == 0:
                     film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
@@ -495,7 +497,10 @@ def watch(path):
 
 
 def plot(folder):
-    """Draw learning_curve.png, a panel for each metric; print the end of each seed's log."""
+    """Draw learning_curve.png; print the last evaluation of each seed.
+
+    Pale: the mean return of the episodes that ended in an update's rollout. Below: each metric.
+    """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     metrics = list(log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"]))

@@ -1,7 +1,7 @@
 # /// script
 # requires-python = ">=3.10,<3.14"
 # dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
-#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.28"]
+#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31"]
 # ///
 """REINFORCE: policy gradients from whole episodes, in one file.
 
@@ -335,9 +335,10 @@ def check_finite(name, x):
 
 
 def evaluate(agent, envs, seed):
-    """The mean return of one episode in each environment, with deterministic actions.
+    """The mean return of one episode in each environment, without noise in the actions.
 
-    It ends after 1,000 steps if there is no time limit. It leaves the generators as they were.
+    It always has the same starts, and leaves the generators as they were. Without a time limit it
+    ends after 1,000 steps.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     seed_generators(seed)
@@ -364,7 +365,7 @@ def save(path, log, agent, options):
 
 
 def watch(path):
-    """Print a saved agent's mean return; film at most 300 frames of an episode in a GIF beside it.
+    """Print a saved agent's mean return; film up to 200 frames of an episode in a GIF beside it.
 
     Options are those of its training, except for those typed now.
     """
@@ -386,7 +387,7 @@ def watch(path):
         every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
         obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
         with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
-            for step in range(300 * every):
+            for step in range(200 * every):
                 if step % every == 0:
                     film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
@@ -397,7 +398,10 @@ def watch(path):
 
 
 def plot(folder):
-    """Draw learning_curve.png, a panel for each metric; print the end of each seed's log."""
+    """Draw learning_curve.png; print the last evaluation of each seed.
+
+    Pale: the mean return of the episodes that ended in an update's rollout. Below: each metric.
+    """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     metrics = list(log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"]))
