@@ -32,12 +32,12 @@ must stay near π_old. One update:
   4. Estimate the advantages A (GAE [2]). A + V(s) are the targets that V is trained on.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     or, once KL(π_old ‖ π) is above max_kl on a minibatch, go on to 6.
+     with A standardised. But once KL(π_old ‖ π) is above max_kl on a minibatch, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Points 2, 4 and 5 are PPO. The rest are details that help, most of them common [4]: 1, 3, 6, max_kl,
-standardised A, the initial weights, and tanh, which keeps actions in their bounds. Left out: a σ
-that is learned, an entropy bonus, clipped gradients and a clipped value loss.
+Points 2, 4 and 5 are PPO. The rest are details that help: 1, 3, 6, max_kl, standardised A and the
+initial weights are common [4], σ that follows a schedule and tanh, which keeps actions in their
+bounds, are ours. Left out: an entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -52,6 +52,7 @@ import copy
 import os
 import random
 import shutil
+import signal
 import sys
 import time
 from contextlib import closing
@@ -129,7 +130,7 @@ class RunningStatistics(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 makes up for tanh
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 by custom
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -216,7 +217,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
-    ends there, this is the reward to go minus V(s_t): REINFORCE with V as its baseline.
+    terminates there, this is the reward to go minus V(s_t): REINFORCE with V as its baseline.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -250,7 +251,7 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. On all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    Returns metrics of the last minibatch. As π and π_old are Gaussians of one σ,
+    Returns metrics of the last minibatch looked at. As π and π_old are Gaussians of one σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
     """
@@ -277,9 +278,9 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
     seed = args.seed[index]
-    seed_generators(seed)
+    make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
           closing(make_envs(args, args.num_envs, "Disabled")) as envs):  # `rollout` resets them
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
@@ -386,15 +387,17 @@ def make_seeds(seed, stream, count):
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
 
 
-def seed_generators(seed):
-    """Seed what the agent, and some environments, draw from."""
+def make_repeatable(seed):
+    """One thread, as more round differently; and seeds for all global generators."""
+    torch.set_num_threads(1)  # networks this small gain nothing from more
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
 def make_envs(args, count, mode="NextStep", **kwargs):
     """`count` environments; in this mode, for evaluation, they reset themselves when done."""
-    envs = gym.make_vec(args.env_id, count, "sync", {"autoreset_mode": mode}, [Tidy], **kwargs)
+    envs = gym.make_vec(args.env_id, count, "sync", wrappers=[Tidy],
+                        vector_kwargs={"autoreset_mode": mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
@@ -412,10 +415,11 @@ class Tidy(gym.Wrapper):
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
-        for name in ("observation_space", "action_space") if seed is not None else ():
-            space = copy.deepcopy(getattr(self.unwrapped, name))
-            space.seed(seed)  # some environments draw from them
-            vars(self.unwrapped)[name] = space
+        if seed is not None:
+            for i, name in enumerate(("observation_space", "action_space"), start=1):
+                space = copy.deepcopy(getattr(self.unwrapped, name))
+                space.seed(seed + i)  # some environments draw from it
+                vars(self.unwrapped)[name] = space
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
 
     def step(self, action):
@@ -440,7 +444,7 @@ def evaluate(agent, envs, seed):
     ends after 1,000 steps.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
-    seed_generators(seed)
+    make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     for _ in range(envs.spec.max_episode_steps or 1000):
@@ -474,6 +478,7 @@ def watch(path):
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
+        make_repeatable(args.seed[0])  # some environments draw numbers when they are made
         envs = make_envs(args, args.eval_episodes)
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
@@ -483,12 +488,13 @@ def watch(path):
     try:
         envs = make_envs(args, 1, render_mode="rgb_array")
         fps = envs.metadata.get("render_fps", 20)
-        every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
+        every = max(1, fps // 25)  # steps for a frame
         obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
         with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
             for step in range(200 * every):
-                if step % every == 0:
-                    film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
+                if step % every == 0:  # 8 bits: it keeps what it will write
+                    film.write(
+                        envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
                 if terminated | truncated:
                     break
@@ -529,20 +535,20 @@ def main():
         envs = make_envs(args, 1)
         envs.close()
         folder.mkdir(parents=True)
-    except (gym.error.Error, ImportError, TypeError, OSError) as error:
-        sys.exit(" ".join(f"{args.env_id}: {error}".split()))
+    except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
+        sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit, so evaluations end after 1,000 steps; to choose "
-              "another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit, so evaluations end after 1,000 steps; to "
+              "choose another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
-    except KeyboardInterrupt:  # no traceback
-        sys.excepthook = lambda *_: print("interrupted")
-        raise
-    finally:
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
+    finally:  # after Ctrl-C, too
+        for process in torch.multiprocessing.active_children():
+            process.terminate()
+            process.join()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
@@ -550,4 +556,9 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:  # no traceback, but the signal again, which ends a shell's loop, too
+        print("interrupted", flush=True)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)

@@ -51,6 +51,7 @@ import copy
 import os
 import random
 import shutil
+import signal
 import sys
 import time
 from contextlib import closing
@@ -98,7 +99,7 @@ class Agent(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 makes up for tanh
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 by custom
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -203,9 +204,9 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more threads
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
     seed = args.seed[index]
-    seed_generators(seed)
+    make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # side by side: faster
           closing(make_envs(args, 1)) as envs):
         (env,) = envs.envs
@@ -286,15 +287,16 @@ def make_seeds(seed, stream, count):
     return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
 
 
-def seed_generators(seed):
-    """Seed what the agent, and some environments, draw from."""
+def make_repeatable(seed):
+    """One thread, as more round differently; and seeds for all global generators."""
+    torch.set_num_threads(1)  # networks this small gain nothing from more
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
 def make_envs(args, count, **kwargs):
     """`count` environments, which reset themselves when done."""
-    envs = gym.make_vec(args.env_id, count, "sync", None, [
+    envs = gym.make_vec(args.env_id, count, "sync", wrappers=[
         lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
@@ -309,10 +311,11 @@ class Tidy(gym.Wrapper):
     """An environment whose spaces no other shares, which clips actions and gives finite numbers."""
 
     def reset(self, *, seed=None, options=None):
-        for name in ("observation_space", "action_space") if seed is not None else ():
-            space = copy.deepcopy(getattr(self.unwrapped, name))
-            space.seed(seed)  # some environments draw from them
-            vars(self.unwrapped)[name] = space
+        if seed is not None:
+            for i, name in enumerate(("observation_space", "action_space"), start=1):
+                space = copy.deepcopy(getattr(self.unwrapped, name))
+                space.seed(seed + i)  # some environments draw from it
+                vars(self.unwrapped)[name] = space
         return self.look(self.env.reset(seed=seed, options=options or None)[0]), {}
 
     def step(self, action):
@@ -341,7 +344,7 @@ def evaluate(agent, envs, seed):
     ends after 1,000 steps.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
-    seed_generators(seed)
+    make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     for _ in range(envs.spec.max_episode_steps or 1000):
@@ -375,6 +378,7 @@ def watch(path):
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
+        make_repeatable(args.seed[0])  # some environments draw numbers when they are made
         envs = make_envs(args, args.eval_episodes)
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
@@ -384,12 +388,13 @@ def watch(path):
     try:
         envs = make_envs(args, 1, render_mode="rgb_array")
         fps = envs.metadata.get("render_fps", 20)
-        every = max(1, fps // 20)  # steps for a frame, as GIFs cannot be much faster
+        every = max(1, fps // 25)  # steps for a frame
         obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
         with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
             for step in range(200 * every):
-                if step % every == 0:
-                    film.write(envs.render()[0], bits=8, duration=1000 * every / fps, loop=0)
+                if step % every == 0:  # 8 bits: it keeps what it will write
+                    film.write(
+                        envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
                 if terminated | truncated:
                     break
@@ -430,20 +435,20 @@ def main():
         envs = make_envs(args, 1)
         envs.close()
         folder.mkdir(parents=True)
-    except (gym.error.Error, ImportError, TypeError, OSError) as error:
-        sys.exit(" ".join(f"{args.env_id}: {error}".split()))
+    except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
+        sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit, so evaluations end after 1,000 steps; to choose "
-              "another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit, so evaluations end after 1,000 steps; to "
+              "choose another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
-    except KeyboardInterrupt:  # no traceback
-        sys.excepthook = lambda *_: print("interrupted")
-        raise
-    finally:
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
+    finally:  # after Ctrl-C, too
+        for process in torch.multiprocessing.active_children():
+            process.terminate()
+            process.join()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
@@ -451,4 +456,9 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:  # no traceback, but the signal again, which ends a shell's loop, too
+        print("interrupted", flush=True)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)
