@@ -1,4 +1,4 @@
-"""docs/together.py: PPO that plays in several processes, started by torchrun."""
+"""experiments/together.py: PPO that plays in several processes, started by torchrun."""
 
 import re
 import shutil
@@ -42,7 +42,7 @@ TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2
 def together(tmp_path_factory):
     """A run of three updates in two processes, and what both of them saw."""
     cwd = tmp_path_factory.mktemp("together")
-    for file in "ppo_continuous.py", "docs/together.py":
+    for file in "ppo_continuous.py", "experiments/together.py":
         shutil.copy(harness.ROOT / file, cwd)
     (cwd / "probe.py").write_text(PROBE)
     process = run(cwd / "probe.py", *SMALL, "--total-steps", 192, cwd=cwd, python=TORCHRUN)

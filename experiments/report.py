@@ -1,4 +1,4 @@
-"""All tables and figures anew, from docs/data alone. Trains nothing; needs scipy."""
+"""All tables and figures anew, from experiments/data alone. Trains nothing; needs scipy."""
 
 import importlib
 

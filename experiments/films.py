@@ -1,8 +1,8 @@
 """The films of the README: an agent before and after its training.
 
-    python tests/benchmark/films.py reinforce_mujoco.py runs/…/seed-1.pt
-    python tests/benchmark/films.py a2c_vector.py runs/…/seed-1.pt
-    python tests/benchmark/films.py ppo_continuous.py runs/…/seed-1.pt      of HalfCheetah-v5
+    python experiments/films.py reinforce_mujoco.py runs/…/seed-1.pt
+    python experiments/films.py a2c_vector.py runs/…/seed-1.pt
+    python experiments/films.py ppo_continuous.py runs/…/seed-1.pt      of HalfCheetah-v5
 """
 
 import os

@@ -1,6 +1,6 @@
 """One table and one figure of the folders of many runs.
 
-    python tests/benchmark/merge.py runs/HalfCheetah*
+    python experiments/merge.py runs/HalfCheetah*
 
 A setting is a script with the options in which it differs from the other runs, the steps among
 them. For each, in the order of the folders: its seeds, mean and standard deviation of their last

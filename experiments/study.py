@@ -1,4 +1,4 @@
-"""What the studies share: jobs and their rows in docs/data; tables, statistics, figures.
+"""What the studies share: jobs and their rows in experiments/data; tables, statistics, figures.
 
 A study has JOBS, what is to be measured, and `draw(rows)`, which returns {name: table}. A table
 goes into each page that has the line `<!-- NAME -->`, in place of the table that stands below it.
@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA = ROOT / "docs/data"
+DATA = ROOT / "experiments/data"
 PPO, A2C, REINFORCE = "ppo_continuous.py", "a2c_vector.py", "reinforce_mujoco.py"
 
 

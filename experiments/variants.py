@@ -1,7 +1,7 @@
 """Changes to a script, one at a time, for the ablation and for exercises.
 
-    python tests/benchmark/variants.py                       lists them
-    python tests/benchmark/variants.py no-tanh my_ppo.py     writes the changed script
+    python experiments/variants.py                       lists them
+    python experiments/variants.py no-tanh my_ppo.py     writes the changed script
 
 A change is a list of pairs (old text, new text); each old text occurs exactly once in the script.
 """

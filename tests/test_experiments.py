@@ -1,4 +1,4 @@
-"""The tools of tests/benchmark: changes, rows, tables."""
+"""The tools of experiments: changes, rows, tables."""
 
 import re
 import shlex
