@@ -11,25 +11,35 @@ from study import PPO, Job, number
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"
 LEARNERS = {"ours": "ours", "defaults": "stable-baselines3", "zoo": "its zoo's settings",
             "our sizes": "our sizes"}  # and their names in `speed`
-JOBS = [Job("peers.py", f"--env-id {task} --total-steps 1e6", setting, seed)
+STYLES = ("C0", "-"), ("C1", "--"), ("C2", ":"), ("C4", "-.")
+JOBS = [Job(peers.FILE, f"--env-id {task} --total-steps 1e6", setting, seed)
         for task in TASKS for setting in ("defaults", "zoo", "our sizes") for seed in range(1, 6)]
 
 
-def reach(course, goal):
-    """When a mean over seeds first reaches a goal: million steps, minutes."""
-    for _, x in course[course["return"] >= goal].iterrows():
-        return f"{x['million steps']:.2f} M, {x['minutes']:.1f} min"
+def mean_curve(runs, steps_a_second):
+    """The mean over seeds, and over 50,000 steps at a time."""
+    millions = (runs["steps"] / 50_000).round() / 20
+    runs = runs.assign(millions=millions, minutes=1e6 * millions / steps_a_second / 60)
+    of_seeds = runs[millions > 0].groupby(["seed", "millions", "minutes"])["return"].mean()
+    return of_seeds.groupby(["millions", "minutes"]).mean().reset_index()
+
+
+def first_at(curve, goal):
+    """When a mean curve first reaches a return."""
+    for _, point in curve[curve["return"] >= goal].iterrows():
+        return f"{point['millions']:.2f} M, {point['minutes']:.1f} min"
     return "never"
 
 
-def lead(returns, learner):
-    """What ours has more, and p of Welch's test."""
-    from scipy import stats
+def line(task, learner, curves, finals):
+    """Of the table."""
+    minutes = number(curves[learner]["minutes"].iloc[-1], 1)
     if learner == "ours":
-        return "", ""
-    test = stats.ttest_ind(returns["ours"], returns[learner], equal_var=False)
-    gain, margin = study.interval(test)
-    return f"{number(gain)} ± {number(margin)}", study.p_value(test)
+        return [task, "ours", study.spread(finals["ours"]), "", "", minutes, "", ""]
+    gain = study.welch(finals["ours"], finals[learner])
+    return [task, f"sb3, {learner}", study.spread(finals[learner]), str(gain), study.p_text(gain.p),
+            minutes, first_at(curves["ours"], finals[learner].mean()),
+            first_at(curves[learner], finals["ours"].mean())]
 
 
 def draw(rows):
@@ -38,36 +48,26 @@ def draw(rows):
     speeds = speeds.groupby(["options", "learner"])["speed"].median()
     picture, panels = study.figure(11, 7, 2, len(TASKS), sharey="col")
     lines = []
-    for column, task in enumerate(TASKS):
-        courses, last = {}, {}
-        styles = ("C0", "-"), ("C1", "--"), ("C2", ":"), ("C4", "-.")
-        for (color, style), (learner, name) in zip(styles, LEARNERS.items()):
-            x = ours if learner == "ours" else rows
-            x = x[(x["options"] == f"--env-id {task} --total-steps 1e6") & (x["change"] == learner)]
-            last[learner] = x.groupby("seed")["return"].last()
-            millions = (x["steps"] / 50_000).round() / 20  # means over 50,000 steps
+    for task, by_steps, by_minutes in zip(TASKS, panels, panels[len(TASKS) :]):
+        curves, finals = {}, {}
+        for (color, style), (learner, name) in zip(STYLES, LEARNERS.items()):
+            runs = ours if learner == "ours" else rows
+            runs = runs[runs["options"] == f"--env-id {task} --total-steps 1e6"]
+            runs = runs[runs["change"] == learner]
+            finals[learner] = runs.groupby("seed")["return"].last()
             speed = speeds[f"--env-id {task} --total-steps 32768", name]
-            x = x.assign(**{"million steps": millions, "minutes": 1e6 * millions / speed / 60})
-            x = x[millions > 0].groupby(["seed", "million steps", "minutes"], as_index=False)
-            x = x["return"].mean().groupby(["million steps", "minutes"], as_index=False)
-            courses[learner] = x["return"].mean()
+            curves[learner] = mean_curve(runs, speed)
             label = learner if learner == "ours" else f"stable-baselines3, {learner}"
-            for unit, axis in zip(("million steps", "minutes"), panels[column :: len(TASKS)]):
-                axis.plot(unit, "return", style, data=courses[learner], color=color, lw=3,
+            for axis, unit in (by_steps, "millions"), (by_minutes, "minutes"):
+                axis.plot(unit, "return", style, data=curves[learner], color=color, lw=3,
                           label=label)
-                axis.set(title=task if unit != "minutes" else "", xlabel=unit, ylabel="return")
-            strip = [1 + 0.03 * len(last)] * len(last[learner])
-            panels[column].plot(strip, last[learner], ".", color=color)
-        axis.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale)")
-        axis.xaxis.set_major_formatter("{x:g}")
-        for learner, course in courses.items():
-            passages = (reach(courses["ours"], last[learner].mean()),
-                        reach(course, last["ours"].mean()))
-            label = learner if learner == "ours" else f"sb3, {learner}"
-            lines.append([task, label, study.spread(last[learner]), *lead(last, learner),
-                          number(course["minutes"].iloc[-1], 1),
-                          *(passages if learner != "ours" else ("", ""))])
-    picture.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4,
+            beside = [1 + 0.03 * len(finals)] * len(finals[learner])
+            by_steps.plot(beside, finals[learner], ".", color=color)
+        by_steps.set(title=task, xlabel="million steps", ylabel="return")
+        by_minutes.set(xscale="log", xlim=(0.05, 30), xlabel="minutes (log scale)", ylabel="return")
+        by_minutes.xaxis.set_major_formatter("{x:g}")
+        lines += [line(task, learner, curves, finals) for learner in LEARNERS]
+    picture.legend(*by_minutes.get_legend_handles_labels(), loc="outside lower center", ncols=4,
                    handlelength=4, title="lines: means of ten seeds (ours), five (the others); "
                    "dots, in this order: each seed in the last evaluation")
     study.save(picture, "ppo_race")
