@@ -55,8 +55,8 @@ def draw(rows):
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
         early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
         whole[name] = runs["return"].mean()
-        p_early, p_whole = ("" if name == "none" else study.p_text(study.welch(x[name], x["none"]).p)
-                            for x in (early, whole))
+        tests = [study.welch(returns[name], returns["none"]) for returns in (early, whole)]
+        p_early, p_whole = (study.p_text(test.p) if name != "none" else "" for test in tests)
         lines.append([f"`{name}`", study.spread(variance[name], 2),
                       study.spread(early[name]), p_early, study.spread(whole[name]), p_whole,
                       study.proportion(runs["return"].last() >= 950),
