@@ -33,7 +33,6 @@ from tqdm import tqdm
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "experiments/data"
 PPO, A2C, REINFORCE = "ppo_continuous.py", "a2c_vector.py", "reinforce_mujoco.py"
-PACKAGES = "torch", "gymnasium", "mujoco", "stable_baselines3"
 
 
 class Job(NamedTuple):
@@ -95,7 +94,8 @@ def measured(measure, job, keep=True):
     if cpuinfo.exists():  # Linux says it there
         origin["processor"] = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
     rows = pd.DataFrame(measure(job) if measure else train(job)[0])
-    origin |= {x: importlib.metadata.version(x) for x in PACKAGES if x in sys.modules}
+    packages = "torch", "gymnasium", "mujoco", *{"stable_baselines3"}.intersection(sys.modules)
+    origin |= {package: importlib.metadata.version(package) for package in packages}
     return pd.DataFrame(origin, rows.index).join(rows)
 
 
