@@ -103,7 +103,7 @@ def read(name):
     path = DATA / f"{name}.csv"
     if not path.exists():
         return pd.DataFrame(columns=KEYS)
-    rows = pd.read_csv(path, dtype={"options": str, "change": str})
+    rows = pd.read_csv(path, dtype={"options": str, "change": str, "commit": str})
     return rows.fillna({"options": "", "change": ""})
 
 
@@ -213,7 +213,7 @@ def table(header, lines):
 
 
 def pages():
-    return [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), DATA / "README.md"]
+    return [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/data/*.md")]
 
 
 def write_tables(tables):
