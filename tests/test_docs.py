@@ -8,7 +8,8 @@ import harness
 import pytest
 from conftest import SCRIPTS
 
-DOCUMENTS = [harness.ROOT / "README.md", *sorted((harness.ROOT / "docs").glob("*.md"))]
+DOCUMENTS = [path for pattern in ("*.md", "docs/*.md", "experiments/data/*.md")
+             for path in sorted(harness.ROOT.glob(pattern))]
 TEXT = "\n".join(path.read_text(encoding="utf-8") for path in DOCUMENTS)
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", TEXT, re.DOTALL | re.MULTILINE)
 SHELL = "\n".join(block for kind, block in BLOCKS if not kind)
@@ -57,7 +58,7 @@ def test_every_snippet_compiles(block):
 
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
-             "--array", "--wrap", "--tb"}  # of diff, torchrun, SLURM, pytest
+             "--array", "--wrap", "--tb", "--quick"}  # of diff, torchrun, SLURM, pytest, a study
     for script in SCRIPTS.values():
         known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known

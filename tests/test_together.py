@@ -1,4 +1,4 @@
-"""docs/together.py: PPO that plays in several processes, started by torchrun."""
+"""experiments/together.py: PPO that plays in several processes, started by torchrun."""
 
 import re
 import shutil
@@ -31,7 +31,7 @@ def scale(rewards, *rest):
     return scale_rewards(rewards, *rest)
 
 ppo.rollout, ppo.scale_rewards = play, scale
-runpy.run_path("together.py", run_name="__main__")
+runpy.run_path("experiments/together.py", run_name="__main__")
 """
 SMALL = ["--env-id", "harness:Target-v0", "--num-envs", "2", "--rollout-steps", "16",
          "--minibatch-size", "16", "--epochs", "2", "--eval-episodes", "2", "--num-evals", "2"]
@@ -42,8 +42,9 @@ TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2
 def together(tmp_path_factory):
     """A run of three updates in two processes, and what both of them saw."""
     cwd = tmp_path_factory.mktemp("together")
-    for file in "ppo_continuous.py", "docs/together.py":
-        shutil.copy(harness.ROOT / file, cwd)
+    (cwd / "experiments").mkdir()
+    for file in "ppo_continuous.py", "experiments/together.py":
+        shutil.copy(harness.ROOT / file, cwd / file)
     (cwd / "probe.py").write_text(PROBE)
     process = run(cwd / "probe.py", *SMALL, "--total-steps", 192, cwd=cwd, python=TORCHRUN)
     assert not re.search(r"(ppo_continuous|together)\.py:\d+: \w*Warning", process.err)
@@ -87,3 +88,11 @@ def test_steps_are_those_of_all_processes_and_one_folder_holds_the_run(together)
     log = read_log(folder / "seed-1.csv")
     assert log["env_step"].tolist() == [64, 128, 192]
     assert log["eval_return"].notna().iloc[[0, -1]].all()
+
+
+def test_it_needs_no_path_and_takes_one_seed(tmp_path):
+    """Both processes would train the same two agents: a line, and nothing starts."""
+    process = run("experiments/together.py", "--seed", 1, 2, cwd=tmp_path, python=TORCHRUN)
+    assert process.out.count("\n") == 1
+    assert process.out.startswith("--seed: only one")
+    assert not list(tmp_path.iterdir())

@@ -1,7 +1,7 @@
 """Changes to a script, one at a time, for the ablation and for exercises.
 
-    python tests/benchmark/variants.py                       lists them
-    python tests/benchmark/variants.py no-tanh my_ppo.py     writes the changed script
+    python experiments/variants.py                       lists their names
+    python experiments/variants.py NAME FILE             writes the changed script
 
 A change is a list of pairs (old text, new text); each old text occurs exactly once in the script.
 """
@@ -9,18 +9,25 @@ A change is a list of pairs (old text, new text); each old text occurs exactly o
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 REINFORCE, A2C, PPO = "reinforce_mujoco.py", "a2c_vector.py", "ppo_continuous.py"
 
 CHANGES = {
     "advantages-not-standardised": (PPO, [(
-        "        A = (A - A.mean()) / (A.std(correction=0) + 1e-8)"
-        "  # now A > 0: above the minibatch's mean\n", "")]),
+        "            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)"
+        "  # A > 0: above the minibatch's mean\n", "")]),
+    "critic-goes-on": (PPO, [
+        ("    for _ in range(epochs):\n",
+         "    actor_learns = True\n    for _ in range(epochs):\n"),
+        ("            if kl > max_kl:\n                return metrics\n",
+         "            actor_learns = actor_learns and kl.item() <= max_kl\n"),
+        ("(policy_loss(ratio, A, clip_eps) + loss_v).backward()",
+         "((policy_loss(ratio, A, clip_eps) if actor_learns else 0) + loss_v).backward()")]),
     "rewards-not-scaled": (PPO, [(
-        "return (rewards / stats.var.sqrt() if varies else rewards).float(), past_rewards",
+        "return (rewards / scale).float(), past_rewards",
         "return rewards.float(), past_rewards")]),
     "observations-not-normalised": (PPO, [(
-        "        agent.obs_stats.update(batch.obs.flatten(0, 1))\n", "")]),
+        "            agent.obs_stats.update(batch.obs)\n", "")]),
     "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
                        "    share = (actions + 1) / 2\n")]),
     "actions-clipped": (PPO, [(
@@ -32,10 +39,15 @@ CHANGES = {
         ('self.register_buffer("sigma", torch.ones(outputs))',
          'self.log_sigma = nn.Parameter(torch.full((outputs,), 0.6).log())'),
         ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
-        ("        agent.sigma.fill_(remaining * args.first_std + "
+        ("    for _ in range(epochs):\n",
+         "    old_sigma = agent.log_sigma.exp().detach()\n    for _ in range(epochs):\n"),
+        ("kl = (((policy.mean - old_means) / policy.stddev) ** 2).sum(-1).mean() / 2",
+         "old_policy = torch.distributions.Normal(old_means, old_sigma)\n            "
+         "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
+        ("            agent.sigma.fill_(remaining * args.first_std + "
          "(1 - remaining) * args.last_std)\n", "")]),
     "time-limits-as-deaths": (PPO, [(
-        "batch.terminated, batch.done, args.gamma", "batch.done, batch.done, args.gamma")]),
+        "next_values, batch.terminated, batch.done,", "next_values, batch.done, batch.done,")]),
     "fault-1": (PPO, [(
         "(policy.mean if deterministic else policy.sample()).numpy()", "policy.mean.numpy()")]),
     "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
@@ -67,13 +79,21 @@ def changed(file, name=""):
     return text
 
 
+def main(arguments):
+    if not arguments:
+        return print(*CHANGES, sep="\n")
+    if len(arguments) != 2 or arguments[0] not in CHANGES:
+        sys.exit("usage: python experiments/variants.py NAME FILE (without both it lists names)")
+    name, file = arguments
+    script = CHANGES[name][0]
+    in_place = name.startswith("blank") and Path(file).name == script  # an exercise
+    if Path(file).name in (REINFORCE, A2C, PPO) and not in_place:
+        sys.exit(f"not written: {file} has the name of a script; take another, such as my_ppo.py")
+    try:
+        Path(file).write_text(changed(script, name), encoding="utf-8")
+    except ValueError:  # whose message would show solutions
+        sys.exit(f"{script} has been changed: {name} needs a fresh copy of it")
+
+
 if __name__ == "__main__":
-    if sys.argv[1:]:
-        _, name, file = sys.argv
-        try:
-            text = changed(CHANGES[name][0], name)
-        except ValueError:  # whose message would show solutions
-            sys.exit(f"{CHANGES[name][0]} has been changed: {name} needs a fresh copy of it")
-        Path(file).write_text(text, encoding="utf-8")
-    else:
-        print(*CHANGES, sep="\n")
+    main(sys.argv[1:])

@@ -1,11 +1,11 @@
 """One table and one figure of the folders of many runs.
 
-    python tests/benchmark/merge.py runs/HalfCheetah*
+    python experiments/merge.py runs/HalfCheetah*
 
 A setting is a script with the options in which it differs from the other runs, the steps among
 them. For each, in the order of the folders: its seeds, mean and standard deviation of their last
-evaluations; for each pair the difference, and p of Welch's t-test (needs scipy). Of a seed that ran
-twice the last folder counts. The figure, merged.png, lies beside the folders.
+evaluations; for each pair the difference, and p of Welch's t-test. Of a seed that ran twice the
+last folder counts. The figure, merged.png, lies beside the folders.
 """
 
 import itertools
@@ -22,14 +22,14 @@ def read(folders):
     logs, options = [], []
     for file in (file for folder in folders for file in Path(folder).glob("seed-*.csv")):
         log, saved = pd.read_csv(file), torch.load(file.with_suffix(".pt"), weights_only=True)
-        if log["env_step"].iloc[-1] < saved["total_steps"]:
+        if log["env_step"].iloc[-1] < saved["options"]["total_steps"]:
             print("left out, as it has not ended:", file)
             continue
         logs.append(log.assign(seed=file.stem))
-        options.append({"script": file.parent.name.split("__")[1], **saved})
+        options.append({"script": Path(saved["script"]).stem, **saved["options"]})
     if not logs:
-        sys.exit("merge.py: no finished run in these folders")
-    options = pd.DataFrame(options).drop(columns=["seed", "watch", "out_dir", "agent"]).astype(str)
+        sys.exit("usage: python experiments/merge.py FOLDER ..., with folders of runs that ended")
+    options = pd.DataFrame(options).drop(columns=["seed", "watch", "out_dir"]).astype(str)
     differ = [name for name in options if options[name].nunique() > 1] or ["script"]
     settings = [", ".join(f"{name} {value}" for name, value in row.items())
                 for row in options[differ].to_dict("records")]
@@ -40,17 +40,12 @@ def read(folders):
 
 def main(folders):
     logs = read(folders)
-    last = logs.groupby(["setting", "seed"], sort=False)["eval_return"].last()
-    last = last.groupby("setting", sort=False)  # in the order of the folders
-    print(last.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
-    try:
-        from scipy import stats
-        for (one, x), (other, y) in itertools.combinations(last, 2):
-            welch = stats.ttest_ind(y, x, equal_var=False)
-            gain, margin = study.interval(welch)
-            print(f"{other} − {one}: {gain:.4g} ± {margin:.4g} (95%), p = {welch.pvalue:.3g}")
-    except ImportError:
-        print("p: needs scipy (pip install scipy)")
+    finals = logs.groupby(["setting", "seed"], sort=False)["eval_return"].last()
+    finals = finals.groupby("setting", sort=False)  # in the order of the folders
+    print(finals.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
+    for (one, x), (other, y) in itertools.combinations(finals, 2):
+        gain, margin, p = study.welch(y, x)
+        print(f"{other} − {one}: {gain:.4g} ± {margin:.4g} (95%), p = {p:.3g}")
     picture, (axis,) = study.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
@@ -62,6 +57,4 @@ def main(folders):
 
 
 if __name__ == "__main__":
-    if not sys.argv[1:]:
-        sys.exit(__doc__)
     main(sys.argv[1:])

@@ -1,13 +1,12 @@
 """The films of the README: an agent before and after its training.
 
-    python tests/benchmark/films.py reinforce_mujoco.py runs/…/seed-1.pt
-    python tests/benchmark/films.py a2c_vector.py runs/…/seed-1.pt
-    python tests/benchmark/films.py ppo_continuous.py runs/…/seed-1.pt      of HalfCheetah-v5
+    python experiments/films.py reinforce_mujoco.py runs/…/seed-1.pt
+    python experiments/films.py a2c_vector.py runs/…/seed-1.pt
+    python experiments/films.py ppo_continuous.py runs/…/seed-1.pt      of HalfCheetah-v5
 """
 
 import os
 import sys
-from types import SimpleNamespace
 
 import gymnasium as gym
 import matplotlib.font_manager
@@ -45,21 +44,20 @@ def frame(image, words):
 
 def play(script, weights, steps, words):
     """The frames of one scene; an agent without weights is new, and draws its actions."""
-    options, every, _, camera = VIEWS[script]
+    options, steps_a_frame, _, camera = VIEWS[script]
     module, args = study.load(study.Job(script, options))
     size = {} if script == A2C else {"width": WIDTH, "height": HEIGHT}
     env = gym.make(args.env_id, render_mode="rgb_array", **size, **camera).unwrapped  # no end
-    spaces = SimpleNamespace(single_observation_space=env.observation_space,
-                             single_action_space=env.action_space)
     torch.manual_seed(1)
-    agent, frames = module.Agent(spaces, args.hidden_size), []
+    agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
+    frames = []
     if weights:
         agent.load_state_dict(weights)
     obs, _ = env.reset(seed=3)
     for step in range(steps):
-        if step % every == 0:
+        if step % steps_a_frame == 0:
             frames.append(frame(env.render(), words))
-        action = agent.act(np.float32(obs)[None], deterministic=bool(weights))[0]
+        action = agent.act(np.array(obs, float)[None], deterministic=bool(weights))[0]
         if script == REINFORCE:
             action = action.clip(env.action_space.low, env.action_space.high)
         if script == PPO:
@@ -73,7 +71,7 @@ def play(script, weights, steps, words):
 
 if __name__ == "__main__":
     if len(sys.argv) != 3:
-        sys.exit(__doc__)
+        sys.exit("usage: python experiments/films.py SCRIPT AGENT.pt")
     script, path = sys.argv[1:]
     trained = torch.load(path, weights_only=True)["agent"]
     before, after = (play(script, weights, *scene)

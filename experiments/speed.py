@@ -4,11 +4,8 @@ And A2C with one to 32 environments, in one process or in a process each. Five r
 turns. Nothing else may run; some fifty minutes.
 """
 
-import tempfile
 import time
-from pathlib import Path
 
-import pandas as pd
 import peers
 import study
 from study import A2C, PPO, REINFORCE, Job, number
@@ -28,17 +25,15 @@ JOBS = [Job(script, options, seed=repetition) for repetition in range(1, 6)
 def our_speed(module, args):
     """Of a training without evaluations."""
     module.evaluate = lambda *_: 0.0
-    with tempfile.TemporaryDirectory() as folder:
-        module.train(0, args, Path(folder))
-        log = pd.read_csv(f"{folder}/seed-{args.seed[0]}.csv")
+    log, _ = study.run(module, args)
     return log["env_step"].iloc[-1] / log["seconds"].iloc[-1]
 
 
-def stepping_speed(module, args, *others):
+def stepping_speed(module, args, count):
     """Of our environments without a learner, with actions drawn beforehand."""
-    envs = module.make_envs(args.env_id, args.num_envs, "Disabled", *others)
+    envs = module.make_envs(args, args.num_envs, "Disabled")
     envs.reset(seed=1)
-    actions = [envs.action_space.sample() for _ in range(args.total_steps // args.num_envs)]
+    actions = [envs.action_space.sample() for _ in range(count)]
     start = time.perf_counter()
     for action in actions:
         _, _, terminated, truncated, _ = envs.step(action)
@@ -47,7 +42,7 @@ def stepping_speed(module, args, *others):
             envs.reset(options={"reset_mask": done})  # as `rollout` does
     seconds = time.perf_counter() - start
     envs.close()
-    return len(actions) * args.num_envs / seconds
+    return count * args.num_envs / seconds
 
 
 def peer_speed(args, setting, options):
@@ -61,7 +56,7 @@ def measure(job):
     module, args = study.load(job)
     speeds = {"ours": our_speed(module, args)}
     if job.script != REINFORCE and job[:2] in RACES:
-        speeds["stepping alone"] = stepping_speed(module, args, *[False] * (job.script == A2C))
+        speeds["stepping alone"] = stepping_speed(module, args, args.total_steps // args.num_envs)
         speeds |= {name: peer_speed(args, *peer) for name, peer in PEERS.items()}
     return [{"learner": name, "speed": speed} for name, speed in speeds.items()]
 
@@ -70,9 +65,9 @@ def draw(rows):
     speeds = rows.groupby(["options", "learner", "seed"])["speed"].first().unstack("learner")
     lines = []
     for script, options in RACES:
-        x = speeds.loc[options]
-        ratios = x["ours"] / x[["stepping alone", *PEERS]].T
-        lines.append([f"`{script}`", options.split()[1], number(x["ours"].median()), *(
+        of_task = speeds.loc[options]
+        ratios = of_task["ours"] / of_task[["stepping alone", *PEERS]].T
+        lines.append([f"`{script}`", options.split()[1], number(of_task["ours"].median()), *(
             f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if ratio.any() else ""
             for _, ratio in ratios.iterrows())])
     header = ["script", "task", "steps a second", "÷ stepping alone", "÷ sb3, defaults",

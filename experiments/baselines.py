@@ -3,7 +3,6 @@
 The noise is the variance of the gradient, for the agent of a short run. Some ten minutes.
 """
 
-import gymnasium as gym
 import numpy as np
 import seaborn as sns
 import study
@@ -18,16 +17,18 @@ JOBS = [Job(REINFORCE, options, seed=seed) for seed in range(71, 81)
 
 def measure(job):
     rows, weights = study.train(job)
-    if job.options.startswith(NOISE):
-        module, args = study.load(job)
-        env = module.make_env(args.env_id)
-        env.reset(seed=job.seed)
-        agent = module.Agent(gym.vector.SyncVectorEnv([lambda: env]), args.hidden_size)
-        agent.load_state_dict(weights)
-        batches = [play(module, args, env, agent) for _ in range(300)]
-        for name in BASELINES:
-            gradients = [gradient(module, agent, name, *batch) for batch in batches]
-            rows[f"variance_{name}"] = torch.stack(gradients).double().var(0).sum().item()
+    if not job.options.startswith(NOISE):
+        return rows
+    module, args = study.load(job)
+    (env,) = module.make_envs(args, 1).envs
+    env.reset(seed=job.seed)
+    agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
+    agent.load_state_dict(weights)
+    batches = [play(module, args, env, agent) for _ in range(300)]
+    rows = rows.tail(1)
+    for name in BASELINES:
+        gradients = [gradient(module, agent, name, *batch) for batch in batches]
+        rows[f"variance_{name}"] = torch.stack(gradients).double().var(0).sum().item()
     return rows
 
 
@@ -35,37 +36,37 @@ def play(module, args, env, agent):
     """A batch: observations, actions, rewards to go."""
     episodes = [module.play(env, agent) for _ in range(args.batch_episodes)]
     obs, actions, rewards, last_values = zip(*episodes)
-    rewards_to_go = [module.sum_rewards(*x, args.gamma) for x in zip(rewards, last_values)]
+    rewards_to_go = [module.compute_rewards_to_go(r, last_value, args.gamma)
+                     for r, last_value in zip(rewards, last_values)]
     return torch.cat(obs), torch.cat(actions), torch.cat(rewards_to_go)
 
 
 def gradient(module, agent, baseline, obs, actions, rewards_to_go):
     advantages = module.compute_advantages(rewards_to_go, agent.value(obs).detach(), baseline)
-    loss = module.policy_loss(agent.policy(obs).log_prob(actions), advantages)
+    loss = module.policy_loss(agent.policy(obs).log_prob(actions).sum(-1), advantages)
     return torch.cat([x.flatten() for x in torch.autograd.grad(loss, agent.actor.parameters())])
 
 
 def draw(rows):
-    from scipy import stats
-    noise = study.last(rows[rows["options"] == NOISE])
+    noise = rows[rows["options"] == NOISE]
     variance, early, whole, lines = {}, {}, {}, []
     for name in BASELINES:
         runs = rows[rows["options"] == f"--baseline {name}"].groupby("seed")
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
         early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
         whole[name] = runs["return"].mean()
-        tests = [stats.ttest_ind(x[name], x["none"], equal_var=False) for x in (early, whole)]
-        p_values = [study.p_value(test) if name != "none" else "" for test in tests]
+        tests = [study.welch(returns[name], returns["none"]) for returns in (early, whole)]
+        p_early, p_whole = (study.p_text(test.p) if name != "none" else "" for test in tests)
         lines.append([f"`{name}`", study.spread(variance[name], 2),
-                      study.spread(early[name]), p_values[0], study.spread(whole[name]),
-                      p_values[1], study.share(runs["return"].last() >= 950),
+                      study.spread(early[name]), p_early, study.spread(whole[name]), p_whole,
+                      study.proportion(runs["return"].last() >= 950),
                       number(runs["sampled"].last().mean())])
     picture, panels = study.figure(11, 4, 1, 3)
     titles = ("variance of the gradient, none = 1", f"return after {EARLY:,} steps",
               "mean return over a run")
-    for axis, title, x in zip(panels, titles, (variance, early, whole)):
-        sns.pointplot(x, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
-        sns.swarmplot(x, color="black", ax=axis)
+    for axis, title, dots in zip(panels, titles, (variance, early, whole)):
+        sns.pointplot(dots, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
+        sns.swarmplot(dots, color="black", ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
     picture.suptitle("REINFORCE on InvertedPendulum: ten seeds (dots), their mean (line)")
     study.save(picture, "baselines")

@@ -6,7 +6,8 @@ Eight seeds a setting, in one go, without tuning again after a change. Three hou
 import numpy as np
 import pandas as pd
 import study
-from study import A2C, PPO, Job, number
+from scipy import stats
+from study import A2C, PPO, Job
 
 NAMES = {"--clip-eps 1e9": "no clip", "--max-kl 1e9": "no KL limit", "--last-std 0.6": "σ constant",
          "--clip-eps 1e9 --max-kl 1e9": "neither clip nor KL limit", "sigma-learned": "σ learned"}
@@ -33,6 +34,12 @@ JOBS = [job(table, change, seed) for seed in range(81, 89) for table in TABLES
         for change in ("", *TABLES[table][2])]
 
 
+def measure(job):
+    """The last evaluation."""
+    rows, _ = study.train(job)
+    return rows.tail(1)
+
+
 def holm(p_values, level=0.05):
     """Which p-values stay below the level when corrected for their number (Holm 1979)."""
     limits = level / np.arange(len(p_values), 0, -1)
@@ -42,47 +49,51 @@ def holm(p_values, level=0.05):
 
 def effects(rows):
     """A row for each change: what the seeds gain, in percent of the mean without it."""
-    from scipy import stats
-    found, returns = [], rows.groupby(study.KEYS)["return"].last().unstack()
+    found, returns = [], rows.set_index(study.KEYS)["return"].unstack()
     for table, (*_, changes) in TABLES.items():
         usual = returns.loc[job(table)[:3]]
         for change in changes:
-            x = returns.loc[job(table, change)[:3]]
-            test = stats.ttest_1samp(100 * (x - usual) / usual.mean(), 0)
-            gain, margin = study.interval(test)
-            idle = f" ({sum(x == usual)} unchanged)" if any(x == usual) else ""
-            found.append([
-                table, change, gain, margin, test.pvalue, study.p_value(test), study.spread(usual),
-                study.spread(x), f"{number(gain)} ± {number(margin)}{idle}"])
-    found = pd.DataFrame(found, columns=[
-        "table", "change", "gain", "margin", "p-value", "p", "without", "with it", "text"])
-    return found.assign(holds=holm(found["p-value"]))
+            changed = returns.loc[job(table, change)[:3]]
+            gains = 100 * (changed - usual) / usual.mean()
+            effect = study.difference(stats.ttest_1samp(gains, 0))
+            unchanged = f" ({sum(changed == usual)} unchanged)" if any(changed == usual) else ""
+            found.append([table, change, *effect, study.spread(usual), study.spread(changed),
+                          f"{effect}{unchanged}", study.p_text(effect.p)])
+    found = pd.DataFrame(found, columns=["table", "change", "gain", "margin", "p-value", "without",
+                                         "with", "gain, %", "p"])
+    found["holds"] = holm(found["p-value"])
+    found["gain, %"] = found["gain, %"].mask(found["holds"], "**" + found["gain, %"] + "**")
+    return found
+
+
+def draw_gains(details, order, tasks):
+    picture, panels = study.figure(11, 5, 1, 3, sharex=True, sharey=True)
+    for axis, task in zip(panels, tasks):
+        effect = details[details["table"] == task].set_index("change").loc[order[::-1]]
+        axis.errorbar(effect["gain"], effect.index, xerr=effect["margin"], fmt="o", mfc="white",
+                      capsize=3)
+        axis.plot(effect["gain"].where(effect["holds"]), effect.index, "o", color="C0", zorder=3)
+        axis.axvline(0, color="grey")
+        axis.set(title=task, xlabel="gain, % (95%, not corrected)")
+    count = f"{details['holds'].sum()} of {len(details)} effects"
+    picture.suptitle(f"{count} are significant after Holm's correction (filled)")
+    study.save(picture, "ablation")
 
 
 def draw(rows):
     found = effects(rows)
-    found["text"] = found["text"].mask(found["holds"], "**" + found["text"] + "**")
     details = found[found["change"].isin(DETAILS)].replace({"change": NAMES})
     details["change"] = details["change"].str.replace("-", " ")
     order = details.groupby("change")["gain"].mean().sort_values().index
-    texts = details.pivot(index="change", columns="table", values="text").loc[order]
-    picture, panels = study.figure(11, 5, 1, 3, sharex=True, sharey=True)
-    for axis, table in zip(panels, texts):
-        x = details[details["table"] == table].set_index("change").loc[order[::-1]]
-        axis.errorbar(x["gain"], x.index, xerr=x["margin"], fmt="o", mfc="white", capsize=3)
-        axis.plot(x["gain"].where(x["holds"]), x.index, "o", color="C0", zorder=3)
-        axis.axvline(0, color="grey")
-        axis.set(title=table, xlabel="gain, % (95%, not corrected)")
-    share = f"{details['holds'].sum()} of {len(details)} effects"
-    picture.suptitle(f"{share} are significant after Holm's correction (filled)")
-    study.save(picture, "ablation")
-    answers = found[~found["change"].isin(DETAILS)]
+    texts = details.pivot(index="change", columns="table", values="gain, %").loc[order]
+    draw_gains(details, order, texts.columns)
     usual = details.groupby("table")["without"].first()
     lines = [["return as it is (± std)", *usual], *texts.reset_index().to_numpy()]
-    return {"ablation": study.table(["gain, % (95%)", *texts], lines), "answers": study.table(
-        ["", "change", "without", "with", "gain, %", "p"],
-        answers[["table", "change", "without", "with it", "text", "p"]].to_numpy())}
+    answers = found[~found["change"].isin(DETAILS)]
+    columns = ["table", "change", "without", "with", "gain, %", "p"]
+    return {"ablation": study.table(["gain, % (95%)", *texts], lines),
+            "answers": study.table(["", *columns[1:]], answers[columns].to_numpy())}
 
 
 if __name__ == "__main__":
-    study.main(JOBS, draw)
+    study.main(JOBS, draw, measure)

@@ -9,6 +9,8 @@ import study
 import torch
 from study import PPO, Job
 
+FILE = "experiments/peers.py"
+
 RELU = {"log_std_init": -2, "ortho_init": False, "activation_fn": torch.nn.ReLU,
         "net_arch": {"pi": [256, 256], "vf": [256, 256]}}
 ZOO = {

@@ -1,0 +1,246 @@
+"""What the studies share: jobs and their rows in experiments/data; tables, statistics, figures.
+
+A study has JOBS, what is to be measured, and `draw(rows)`, which returns {name: table}. A table
+goes into each page that has the line `<!-- NAME -->`, in place of the table that stands below it.
+
+    python experiments/STUDY.py                measures the jobs that have no rows yet, and draws
+    python experiments/STUDY.py --only Hopper  measures only jobs with this word in their options
+    python experiments/STUDY.py --quick        tries one tiny job, keeps nothing
+"""
+
+import argparse
+import importlib.metadata
+import multiprocessing
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+import variants
+from matplotlib.figure import Figure
+from scipy import stats
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT / "experiments/data"
+PPO, A2C, REINFORCE = "ppo_continuous.py", "a2c_vector.py", "reinforce_mujoco.py"
+
+
+class Job(NamedTuple):
+    """One measurement, most often a training."""
+
+    script: str
+    options: str = ""  # as typed
+    change: str = ""  # one of `variants`
+    seed: int = 1
+
+
+KEYS = list(Job._fields)
+
+# --- Measuring ------------------------------------------------------------------------------------
+
+
+def load(job):
+    """The script of a job, with its change, as a module; and its options."""
+    module = ModuleType(job.script.removesuffix(".py"))
+    module.__file__ = str(ROOT / job.script)
+    exec(compile(variants.changed(job.script, job.change), job.script, "exec"), vars(module))
+    module.tqdm = lambda **_: tqdm(disable=True)  # no bar
+    return module, module.parse_args(f"{job.options} --seed {job.seed}".split())
+
+
+def run(module, args):
+    """Train one agent; returns its log and its weights."""
+    with tempfile.TemporaryDirectory() as folder:
+        module.train(0, args, Path(folder))
+        path = f"{folder}/seed-{args.seed[0]}"
+        saved = module.torch.load(f"{path}.pt", weights_only=True)
+        return pd.read_csv(f"{path}.csv"), saved["agent"]
+
+
+def train(job):
+    """A row for each evaluation, and the weights; `sampled`: in training since the one before."""
+    log, weights = run(*load(job))
+    log = log.rename(columns={"env_step": "steps", "return": "sampled", "eval_return": "return"})
+    period = log.groupby(log["return"].notna().shift(fill_value=False).cumsum())
+    rows = period[["steps", "seconds", "return"]].last()
+    return rows.join(period["sampled"].mean()), weights
+
+
+def git(*command):
+    return subprocess.run(["git", *command], cwd=ROOT, text=True, capture_output=True).stdout
+
+
+def commit_of(*files):
+    """The last commit of files; exits if one of them has been changed since."""
+    if git("status", "--porcelain", "--", *files):
+        sys.exit(f"not measured, as this is not committed yet: {', '.join(files)}")
+    return git("log", "-1", "--format=%h", "--", *files).strip() or "unknown"
+
+
+def measured(measure, job, keep=True):
+    """The rows of a job, which say where they come from."""
+    origin = {**job._asdict(), "commit": commit_of(job.script) if keep else "not kept"}
+    cpuinfo, origin["processor"] = Path("/proc/cpuinfo"), platform.processor()
+    if cpuinfo.exists():  # Linux says it there
+        origin["processor"] = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
+    rows = pd.DataFrame(measure(job) if measure else train(job)[0])
+    packages = "torch", "gymnasium", "mujoco", *{"stable_baselines3"}.intersection(sys.modules)
+    origin |= {package: importlib.metadata.version(package) for package in packages}
+    return pd.DataFrame(origin, rows.index).join(rows)
+
+
+def read(name):
+    path = DATA / f"{name}.csv"
+    if not path.exists():
+        return pd.DataFrame(columns=KEYS)
+    rows = pd.read_csv(path, dtype={"options": str, "change": str, "commit": str})
+    return rows.fillna({"options": "", "change": ""})
+
+
+def name_older_commits(rows):
+    """A line for each commit but the last of a script by which rows were measured."""
+    for (script, commit), group in rows.groupby(["script", "commit"]):
+        today = git("log", "-1", "--format=%h", "--", script).strip()
+        if commit != today:
+            count = len(group[KEYS].drop_duplicates())
+            print(f"{count} jobs were measured with {script} of commit {commit}, not {today}")
+
+
+def main(jobs, draw, measure=None, workers=None):
+    """Measure the jobs that have no rows yet, each kept as soon as it is done; then draw."""
+    study = sys.modules["__main__"]
+    parser = argparse.ArgumentParser(description=study.__doc__)
+    parser.add_argument("--quick", action="store_true", help="try one tiny job, keep nothing")
+    parser.add_argument("--only", default="", metavar="TEXT", help="jobs whose options contain it")
+    args = parser.parse_args()
+    os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
+    jobs = [job for job in jobs if args.only in job.options]
+    if args.quick:
+        job = jobs[0]._replace(options=f"{jobs[0].options} --total-steps 256 --num-evals 1")
+        return print(measured(measure, job, keep=False).to_string())
+    name = Path(study.__file__).stem
+    rows = read(name)
+    done = set(rows[KEYS].itertuples(index=False, name=None))
+    lacking = [job for job in jobs if job not in done]
+    if lacking:
+        commit_of(*{job.script for job in lacking}, "experiments/study.py",
+                  "experiments/variants.py", f"experiments/{name}.py")
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as processes:
+        futures = [processes.submit(measured, measure, job) for job in lacking]
+        try:
+            for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
+                rows = pd.concat([rows, future.result()] if len(rows) else [future.result()])
+                rows = rows.sort_values(KEYS, kind="stable")
+                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
+        finally:  # after Ctrl-C, too
+            processes.shutdown(cancel_futures=True)
+    name_older_commits(read(name))
+    tables = draw(read(name))
+    print(*tables.values(), sep="\n")
+    write_tables(tables)
+
+
+# --- Statistics -----------------------------------------------------------------------------------
+
+
+class Difference(NamedTuple):
+    """Of means: its estimate, half the width of its 95% interval, and p."""
+
+    gain: float
+    margin: float
+    p: float
+
+    def __str__(self):
+        return f"{number(self.gain)} ± {number(self.margin)}"
+
+
+def difference(test):
+    """The result of one of scipy's t-tests."""
+    low, high = test.confidence_interval()
+    return Difference((low + high) / 2, (high - low) / 2, test.pvalue)
+
+
+def welch(x, y):
+    """Welch's t-test: the mean of x minus that of y."""
+    return difference(stats.ttest_ind(x, y, equal_var=False))
+
+
+def final_rows(rows):
+    """The last row of each job."""
+    return rows.groupby(KEYS, sort=False).last().reset_index()
+
+
+# --- Tables and figures ---------------------------------------------------------------------------
+
+
+def number(x, digits=0):
+    return f"{round(x, digits) + 0.0:,.{digits}f}".replace("-", "−")  # + 0.0: no "−0"
+
+
+def spread(values, digits=0):
+    """Mean ± standard deviation (n − 1)."""
+    return f"{number(np.mean(values), digits)} ± {number(np.std(values, ddof=1), digits)}"
+
+
+def listed(values, digits=0):
+    return ", ".join(number(x, digits) for x in values)
+
+
+def p_text(p):
+    return "< 0.001" if p < 0.001 else f"{p:.2g}"
+
+
+def proportion(passed):
+    """How many of how many, and the exact 95% interval of the probability."""
+    low, high = stats.binomtest(passed.sum(), len(passed)).proportion_ci()
+    return f"{passed.sum()} of {len(passed)} ({low:.0%} to {high:.0%})"
+
+
+def table(header, lines):
+    """Markdown."""
+    frame = pd.DataFrame([list(line) for line in lines], columns=[str(x) for x in header])
+    return frame.to_markdown(index=False, disable_numparse=True) + "\n"
+
+
+def pages():
+    return [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/data/*.md")]
+
+
+def write_tables(tables):
+    """Into the pages."""
+    for page in pages():
+        parts = re.split(r"(?<=<!-- )(.+)( -->\n\n)((?:\|.*\n)+)", page.read_text("utf-8"))
+        for i in range(1, len(parts), 4):
+            parts[i + 2] = tables.get(parts[i], parts[i + 2])
+        page.write_text("".join(parts), encoding="utf-8")
+
+
+def figure(width, height, rows=1, columns=1, count=None, **options):
+    """A picture with `count` panels, at most rows·columns."""
+    sns.set_theme(style="whitegrid", palette="colorblind")
+    picture = Figure(figsize=(width, height), layout="constrained")
+    panels = picture.subplots(rows, columns, squeeze=False, **options).flat
+    for panel in panels[count or len(panels) :]:
+        panel.remove()
+    return picture, panels[:count]
+
+
+def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
+    """Every seed, and the mean in bold."""
+    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, color=color, ax=axis)
+    sns.lineplot(rows, x=x, y=y, errorbar=None, linewidth=3, label=label, color=color, ax=axis)
+    axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
+
+
+def save(picture, name):
+    picture.savefig(ROOT / f"docs/{name}.png", dpi=120)
