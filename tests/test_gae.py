@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import torch
+from conftest import only
+from harness import spy_rollouts, train
 
 from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
 
@@ -70,6 +72,19 @@ def test_a_dimension_that_has_never_changed_is_0_and_may_jump(constant):
     assert stats.normalise(torch.tensor([[constant]])).abs() < 0.1
     jumps = torch.tensor([[constant - 1e6], [constant + 1e6]])
     assert stats.normalise(jumps).flatten().tolist() == [-10, 10]
+
+
+@only("a2c_vector", "ppo_continuous")
+def test_training_keeps_statistics_of_all_observations_before_the_present_rollout(
+        script, monkeypatch):
+    rollouts = spy_rollouts(monkeypatch, script.module)
+    train(monkeypatch, script.module, "--env-id", script.world("Uneven"), "--num-envs", 4,
+          "--rollout-steps", 25, "--total-steps", 300)
+    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200]
+    for i in 1, 2:
+        rows = torch.cat([batch.obs.flatten(0, 1) for _, batch, _ in rollouts[:i]])
+        torch.testing.assert_close(rollouts[i][0].obs_stats.mean, rows.mean(0))
+        torch.testing.assert_close(rollouts[i][0].obs_stats.var, rows.var(0, correction=0))
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e30])
