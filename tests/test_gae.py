@@ -79,9 +79,9 @@ def test_training_keeps_statistics_of_all_observations_before_the_present_rollou
         script, monkeypatch):
     rollouts = spy_rollouts(monkeypatch, script.module)
     train(monkeypatch, script.module, "--env-id", script.world("Uneven"), "--num-envs", 4,
-          "--rollout-steps", 25, "--total-steps", 300)
-    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200]
-    for i in 1, 2:
+          "--rollout-steps", 25, "--total-steps", 400)
+    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200, 300]
+    for i in 1, 2, 3:
         rows = torch.cat([batch.obs.flatten(0, 1) for _, batch, _ in rollouts[:i]])
         torch.testing.assert_close(rollouts[i][0].obs_stats.mean, rows.mean(0))
         torch.testing.assert_close(rollouts[i][0].obs_stats.var, rows.var(0, correction=0))
