@@ -25,7 +25,8 @@ class Line(World):
 
 # Wide, as REINFORCE's actions are clipped, and beyond the bounds of a box nothing leads back.
 register("Wide", Target, length=1, actions=Box(-9, 9, (2,)))
-register("Line", Line, length=5, actions=Box(-9, 9, (1,)))
+register("WideLine", Line, length=5, actions=Box(-9, 9, (1,)))
+register("Line", Line, length=5)
 
 
 def learn(script, world, options, folder):
@@ -47,14 +48,15 @@ def test_it_finds_the_best_action(script, world, options, least, tmp_path):
     assert learn(script, script.world(world), options, tmp_path) > least
 
 
-@pytest.mark.parametrize(("script", "options"), [
-    ("reinforce_mujoco", "--learning-rate 3e-3"),
-    ("a2c_vector", "--num-envs 8 --rollout-steps 10 --learning-rate 3e-3 --reward-scale 1")],
+@pytest.mark.parametrize(("script", "world", "options"), [
+    ("reinforce_mujoco", "WideLine", "--learning-rate 3e-3"),  # −0.019
+    ("a2c_vector", "Line",
+     "--num-envs 8 --rollout-steps 10 --learning-rate 3e-3 --reward-scale 1")],  # −0.144
     indirect=["script"])
-def test_it_finds_the_way_though_a_reward_comes_only_at_the_end(script, options, tmp_path):
-    """At best 0, in A2C −1/16; a new agent: −0.5 or less."""
+def test_it_finds_the_way_though_a_reward_comes_only_at_the_end(script, world, options, tmp_path):
+    """At best 0, in A2C −1/16 (−1/8 if it never stands still); new agents: −0.3 to −1.4."""
     options += " --total-steps 8192 --eval-episodes 50"
-    assert learn(script, script.world("Line"), options, tmp_path) > -0.2
+    assert learn(script, script.world(world), options, tmp_path) > -0.2
 
 
 @pytest.mark.slow
