@@ -101,9 +101,10 @@ def test_the_policy_that_learns_is_the_one_that_acts():
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12
-@pytest.mark.parametrize(("start_method", "count"), [("fork", 4), ("spawn", 1)])
+@pytest.mark.parametrize(("start_method", "count"), [
+    (None, 4), pytest.param("spawn", 1, marks=pytest.mark.slow)])
 def test_environments_in_processes_change_no_number(start_method, count, tmp_path, monkeypatch):
-    """Forked as on Linux, or spawned as elsewhere, which takes seconds for each."""
+    """Started as usual here, or spawned as on other systems, which takes seconds for each."""
     kinds = spy(monkeypatch, a2c, "rollout", lambda envs, *_: type(envs.unwrapped))
     context = multiprocessing.get_context(start_method)
     monkeypatch.setattr(multiprocessing, "get_context", lambda *_: context)
