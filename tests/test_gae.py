@@ -3,8 +3,20 @@
 import numpy as np
 import pytest
 import torch
+from conftest import only
+from harness import spy_rollouts, train
 
 from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
+
+
+@pytest.fixture
+def float64(monkeypatch):
+    """The scripts compute in float64, so that rounding decides nothing. For other files, too."""
+    monkeypatch.setattr(torch.Tensor, "float", torch.Tensor.double)
+    usual = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(usual)
 
 
 def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -29,8 +41,8 @@ def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lambda, T):
     rewards, values, next_values = torch.randn(3, T, 64, dtype=torch.float64)
     terminated, truncated = torch.rand(2, T, 64) < 0.25
-    assert (terminated & truncated).any()  # which is not bootstrapped
-    assert (truncated & ~terminated).any()  # which is
+    terminated[0, :2], truncated[0, :2] = True, torch.tensor([True, False])  # not bootstrapped
+    terminated[0, 2:4], truncated[0, 2:4] = False, torch.tensor([True, False])  # bootstrapped
     batch = rewards, values, next_values, terminated, terminated | truncated
     expected = gae_by_hand(*batch, gamma, gae_lambda)
     torch.testing.assert_close(compute_gae(*batch, gamma, gae_lambda), expected)
@@ -38,13 +50,13 @@ def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lam
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e19, 1e30])
 def test_running_statistics_are_those_of_all_rows_of_any_size(scale):
-    """Before the first update numbers are only clipped."""
+    """Before the first update numbers are only clipped. Rows may lie in a grid."""
     rows = scale * (torch.randn(500, 3) * torch.tensor([1.0, 20.0, 0.1]) + 5)
     x = scale * 50 * torch.randn(10, 3)
     stats, exact = RunningStatistics(3), rows.double()
     assert torch.equal(stats.normalise(x), x.clamp(-10, 10))
     for seen, chunk in zip((1, 8, 200, 500), rows.split([1, 7, 192, 300])):
-        stats.update(chunk)
+        stats.update(chunk.reshape(-1, 4, 3) if len(chunk) % 4 == 0 else chunk)
         assert stats.count == seen
         np.testing.assert_allclose(stats.mean, exact[:seen].numpy().mean(0), rtol=1e-5)
         np.testing.assert_allclose(stats.var, exact[:seen].numpy().var(0), rtol=1e-4)
@@ -62,9 +74,22 @@ def test_a_dimension_that_has_never_changed_is_0_and_may_jump(constant):
     assert stats.normalise(jumps).flatten().tolist() == [-10, 10]
 
 
+@only("a2c_vector", "ppo_continuous")
+def test_training_keeps_statistics_of_all_observations_before_the_present_rollout(
+        script, monkeypatch):
+    rollouts = spy_rollouts(monkeypatch, script.module)
+    train(monkeypatch, script.module, "--env-id", script.world("Uneven"), "--num-envs", 4,
+          "--rollout-steps", 25, "--total-steps", 400)
+    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200, 300]
+    for i in 1, 2, 3:
+        rows = torch.cat([batch.obs.flatten(0, 1) for _, batch, _ in rollouts[:i]])
+        torch.testing.assert_close(rollouts[i][0].obs_stats.mean, rows.mean(0))
+        torch.testing.assert_close(rollouts[i][0].obs_stats.var, rows.var(0, correction=0))
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e30])
 def test_rewards_are_divided_by_the_std_of_the_discounted_sums_so_far(scale):
-    stats, past_rewards, seen = RunningStatistics(), torch.zeros(1), []
+    stats, past_rewards, seen = RunningStatistics(), 0.0, []
     F = np.zeros(3)
     for _ in range(4):  # several rollouts, over which F and the statistics go on
         rewards, done = scale * (torch.randn(10, 3).double() + 1), torch.rand(10, 3) < 0.2
@@ -81,7 +106,7 @@ def test_rewards_are_divided_by_the_std_of_the_discounted_sums_so_far(scale):
 @pytest.mark.parametrize("reward", [0.0, 0.1, 5.0])
 def test_rewards_whose_sums_do_not_vary_stay_as_they_are(reward):
     """A constant reward in episodes of one step."""
-    stats, past_rewards = RunningStatistics(), torch.zeros(1)
+    stats, past_rewards = RunningStatistics(), 0.0
     rewards, done = torch.full((50, 3), reward).double(), torch.ones(50, 3, dtype=bool)
     for _ in range(3):
         scaled, past_rewards = scale_rewards(rewards, done, past_rewards, stats, 0.9)

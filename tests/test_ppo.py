@@ -9,57 +9,71 @@ import pytest
 import torch
 from conftest import SCRIPTS
 from harness import ACTIONS, spy, spy_rollouts, train
-from test_gae import gae_by_hand
+from test_gae import float64, gae_by_hand  # noqa: F401
 from torch.distributions import Normal, kl_divergence
 
 import ppo_continuous as ppo
 
+pytestmark = pytest.mark.usefixtures("float64")
 SIZES = ["--num-envs", 4, "--rollout-steps", 25, "--minibatch-size", 34, "--total-steps", 100,
          "--max-kl", 1e9]
+SIGMA = torch.tensor([0.6, 0.3])
 
 
-def make(world="ThreeSteps"):
+def make():
     """An agent with larger weights and some statistics.
 
     A new one acts alike in all states and does not normalise, which would hide mistakes.
     """
-    agent = ppo.Agent(SCRIPTS["ppo_continuous"].envs(f"harness:{world}-v0", 1), 64)
+    agent = SCRIPTS["ppo_continuous"].agent("harness:ThreeSteps-v0")
     agent.actor[-1].weight.data *= 100
     agent.obs_stats.update(3 * torch.randn(50, 2) + 1)
-    agent.sigma.fill_(0.6)
+    agent.sigma.copy_(SIGMA)
     return agent
 
 
-def make_samples(agent):
-    """100 rows: states, actions drawn from π, their log-probabilities, A and targets random."""
-    obs, (A, targets) = 3 * torch.randn(100, 2) + 1, torch.randn(2, 100)
-    policy = agent.policy(obs)
-    actions = policy.sample()
-    return obs, actions, policy.log_prob(actions).detach(), A, targets
+def make_samples(agent, shift=0.0, count=100):
+    """`count` rows of random states, A and targets, and actions of a π_old: π with its μ moved."""
+    obs, (A, targets) = 3 * torch.randn(count, 2) + 1, torch.randn(2, count)
+    old = Normal(agent.policy(obs).mean.detach() + shift * SIGMA, SIGMA)
+    actions = old.sample()
+    return obs, actions, old.mean, old.log_prob(actions).sum(-1), A, targets
 
 
 def optimise(agent, samples, lr, epochs=2, size=34, clip_eps=0.2, max_kl=1e9):
-    """A list of (observations, agent before the step, gradients) of each gradient step; metrics."""
-    optimizer, steps, shown, policy = torch.optim.SGD(agent.parameters(), lr), [], [], agent.policy
+    """What `optimise` did: (rows, agent) of each minibatch, gradients of each step; metrics.
+
+    Which rows a minibatch has is found by its observations, as no two are alike.
+    """
+    optimizer, policy = torch.optim.SGD(agent.parameters(), lr), agent.policy
+    minibatches, gradients, all_obs = [], [], samples[0].tolist()
 
     def look(obs):
-        shown.append(obs)
+        minibatches.append(([all_obs.index(x) for x in obs.tolist()], copy.deepcopy(agent)))
         return policy(obs)
 
-    def keep(*_):
-        gradients = [p.grad.clone() for p in agent.parameters()]
-        steps.append((shown[-1], copy.deepcopy(agent), gradients))
-
     agent.policy = look
-    optimizer.register_step_pre_hook(keep)
-    metrics = ppo.optimise(agent, optimizer, samples, epochs, size, clip_eps, max_kl)
-    return steps, metrics
+    optimizer.register_step_pre_hook(
+        lambda *_: gradients.append([p.grad.clone() for p in agent.parameters()]))
+    metrics = ppo.optimise(agent, optimizer, samples, epochs=epochs, minibatch_size=size,
+                           clip_eps=clip_eps, max_kl=max_kl)
+    return minibatches, gradients, metrics
 
 
-def find_rows(samples, obs):
-    """Which rows these observations are: no two look alike."""
-    rows = samples[0].tolist()
-    return [rows.index(x) for x in obs.tolist()]
+def by_hand(agent, samples, rows, clip_eps):
+    """The loss of a minibatch, and its metrics, from their definitions."""
+    obs, actions, old_means, _, A, targets = (x[rows] for x in samples)
+    obs = agent.obs_stats.normalise(obs)
+    A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
+    pi, pi_old = Normal(agent.actor(obs), SIGMA), Normal(old_means, SIGMA)
+    ratio = (pi.log_prob(actions) - pi_old.log_prob(actions)).sum(-1).exp()
+    low, high = 1 - clip_eps, 1 + clip_eps
+    surrogate = [min(x * a, min(max(x, low), high) * a) for x, a in zip(ratio, A)]
+    loss_v = sum((agent.critic(obs)[:, 0] - targets) ** 2) / 2 / len(rows)
+    clipped = (ratio < low) | (ratio > high)
+    return loss_v - sum(surrogate) / len(rows), {
+        "value_loss": loss_v.item(), "clip_fraction": clipped.double().mean().item(),
+        "kl": kl_divergence(pi_old, pi).sum(-1).mean().item()}
 
 
 def test_the_ratio_stays_1_while_the_policy_does(monkeypatch):
@@ -68,20 +82,20 @@ def test_the_ratio_stays_1_while_the_policy_does(monkeypatch):
     log = train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--first-std", 7.4,
                 "--epochs", 3, "--learning-rate", 0)
     assert len(torch.cat(ratios)) == 300
-    assert (torch.cat(ratios) - 1).abs().max() < 1e-5
-    assert log["clip_fraction"].iloc[-1] == 0
-    assert log["kl"].iloc[-1] < 1e-6
+    assert (torch.cat(ratios) - 1).abs().max() < 1e-9
+    assert (log[["clip_fraction", "kl"]] == 0).all(axis=None)
 
 
 def test_the_density_that_acted_is_the_one_that_learns(monkeypatch):
     """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
     rollouts = spy_rollouts(monkeypatch, ppo)
-    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--first-std", 2.7)
+    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--rollout-steps", 250,
+          "--first-std", 2.7)
     player, batch, _ = rollouts[0]
     noise = (batch.actions - player.actor(player.obs_stats.normalise(batch.obs))) / 2.7
-    assert abs(noise.mean()) < 0.3
-    assert abs(noise.std() - 1) < 0.2
-    assert len(noise.unique()) == 200
+    assert abs(noise.mean()) < 6 / math.sqrt(2000)  # six standard errors, as below
+    assert abs(noise.std() - 1) < 6 / math.sqrt(4000)
+    assert len(noise.unique()) == 2000
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
@@ -106,100 +120,100 @@ def test_policy_loss_by_hand_and_no_gradient_where_it_is_clipped():
     torch.testing.assert_close(ratio.grad, -torch.tensor([1.0, 0.0, 0.0, -1.0, 2.0]) / 5)
 
 
-def test_approximate_kl_is_never_negative_and_estimates_the_kl_divergence():
-    assert all(ppo.approximate_kl(x) >= -1e-7 for x in torch.linspace(-20, 20, 4001))  # rounding
-    old, new = Normal(torch.zeros(2), torch.ones(2)), Normal(torch.tensor([0.1, 0.2]), 0.9)
-    u = old.sample((100_000,))
-    log_ratio = (new.log_prob(u) - old.log_prob(u)).sum(-1)
-    estimate, exact = ppo.approximate_kl(log_ratio), kl_divergence(old, new).sum()
-    standard_error = (log_ratio.exp() - 1 - log_ratio).std() / math.sqrt(len(log_ratio))
-    assert abs(estimate - exact) < 4 * standard_error
-    assert ppo.approximate_kl(torch.tensor(1e-4)).item() == pytest.approx(5e-9, rel=0.01)
-
-
 @pytest.mark.parametrize("size", [34, 100])
 def test_each_step_of_an_update_follows_the_gradient_written_out(size):
-    """Its first step, at ratio 1, and later ones, of a policy and a critic that have moved."""
+    """π starts half a σ away from π_old in each number of an action, so about half are clipped."""
     agent = make()
-    samples, old = make_samples(agent), copy.deepcopy(agent)
-    steps, metrics = optimise(agent, samples, lr=0.02, size=size, clip_eps=0.1)
-    assert len(steps) == math.ceil(200 / size)
-    for obs, before, gradients in steps:
-        rows = find_rows(samples, obs)
-        _, actions, _, A, targets = (x[rows] for x in samples)
-        A = (A - A.mean()) / (A - A.mean()).square().mean().sqrt()
-        pi, pi_old = (Normal(x.actor(x.obs_stats.normalise(obs)), 0.6) for x in (before, old))
-        ratio = (pi.log_prob(actions) - pi_old.log_prob(actions).detach()).sum(-1).exp()
-        surrogate = [min(x * a, min(max(x, 0.9), 1.1) * a) for x, a in zip(ratio, A)]
-        loss = -sum(surrogate) / len(rows)
-        for value, target in zip(before.critic(before.obs_stats.normalise(obs))[:, 0], targets):
-            loss += (value - target) ** 2 / 2 / len(rows)
-        expected = torch.autograd.grad(loss, list(before.parameters()))
-        for gradient, by_hand in zip(gradients, expected):
-            torch.testing.assert_close(gradient, by_hand, rtol=1e-3, atol=1e-5)
-    clipped = ((ratio < 0.9) | (ratio > 1.1)).float().mean().item()
-    assert 0.1 < clipped < 0.9
-    assert metrics["clip_fraction"] == pytest.approx(clipped)
-    assert metrics["kl"] == pytest.approx((ratio - 1 - ratio.log()).mean().item(), rel=1e-3)
+    samples = make_samples(agent, shift=0.5)
+    minibatches, gradients, metrics = optimise(agent, samples, lr=0.02, size=size, clip_eps=0.5)
+    assert len(minibatches) == len(gradients) == math.ceil(200 / size)
+    for (rows, before), found in zip(minibatches, gradients):
+        loss, expected_metrics = by_hand(before, samples, rows, clip_eps=0.5)
+        for x, y in zip(found, torch.autograd.grad(loss, list(before.parameters()))):
+            torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-7)
+    assert metrics == pytest.approx(expected_metrics)  # of the last one
+    assert 0 < metrics["clip_fraction"] < 1
 
 
 @pytest.mark.parametrize("world", ["Uneven", "Forever"])
 def test_an_update_gets_the_estimates_of_the_agent_that_played(world, monkeypatch):
-    """Advantages, targets and log π_old, from the definitions, as constants, in each update."""
+    """Advantages, targets, μ_old and log π_old, from the definitions, as constants; options.
+
+    The log has what `optimise` returned, and how well the agent that played predicted targets.
+    """
     rollouts = spy_rollouts(monkeypatch, ppo, lambda _, batch: (
         batch._replace(rewards=torch.randn(batch.rewards.shape))))
     monkeypatch.setattr(ppo, "scale_rewards", lambda rewards, done, *_: (3 * rewards, None))
-    seen = spy(monkeypatch, ppo, "optimise", lambda *x: (copy.deepcopy(x[0]), *x[2]))
-    train(monkeypatch, ppo, "--env-id", f"harness:{world}-v0", *SIZES, "--total-steps", 300,
-          "--gamma", 0.9, "--gae-lambda", 0.7)
-    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200]
-    for (player, batch, _), (learner, *samples) in zip(rollouts, seen, strict=True):
+    updates, original = [], ppo.optimise
+
+    def watched(agent, optimizer, samples, **options):
+        learner = copy.deepcopy(agent)
+        metrics = original(agent, optimizer, samples, **options)
+        updates.append((learner, samples, options, dict(metrics)))
+        return metrics
+
+    monkeypatch.setattr(ppo, "optimise", watched)
+    log = train(monkeypatch, ppo, "--env-id", f"harness:{world}-v0", *SIZES, "--total-steps", 300,
+                "--gamma", 0.9, "--gae-lambda", 0.7, "--epochs", 3, "--clip-eps", 0.05)
+    assert len(rollouts) == 3
+    for (player, batch, _), (learner, samples, options, metrics), (_, row) in zip(
+            rollouts, updates, log.iterrows(), strict=True):
+        assert options == {"epochs": 3, "minibatch_size": 34, "clip_eps": 0.05, "max_kl": 1e9}
         torch.testing.assert_close(player.state_dict(), learner.state_dict(), rtol=0, atol=0)
         with torch.no_grad():
             V, next_V = player.value(batch.obs), player.value(batch.next_obs)
-            log_probs = player.policy(batch.obs).log_prob(batch.actions)
-        ends = batch.terminated, batch.done
-        A = gae_by_hand(3 * batch.rewards, V, next_V, *ends, 0.9, 0.7)
-        expected = batch.obs, batch.actions, log_probs, A, A + V
-        for x, y in zip(samples, expected):
+            policy = player.policy(batch.obs)
+        A = gae_by_hand(3 * batch.rewards, V, next_V, batch.terminated, batch.done, 0.9, 0.7)
+        log_probs = policy.log_prob(batch.actions).sum(-1)
+        expected = batch.obs, batch.actions, policy.mean, log_probs, A, A + V
+        for x, y in zip(samples, expected, strict=True):
             assert not x.requires_grad
-            torch.testing.assert_close(x, y.flatten(0, 1), rtol=1e-4, atol=1e-4)
-    agent = rollouts[-1][2]
-    rows = torch.cat([batch.obs.flatten(0, 1) for _, batch, _ in rollouts]).double()
-    torch.testing.assert_close(agent.obs_stats.mean, rows.mean(0))
-    torch.testing.assert_close(agent.obs_stats.var, rows.var(0, correction=0))
-    for (_, batch, _), (_, then, _) in zip(rollouts, rollouts[1:]):  # goes on where it ended
-        goes_on = ~batch.done[-1]
-        assert goes_on.any()
-        assert torch.equal(then.obs[0][goes_on], batch.next_obs[-1][goes_on])
+            torch.testing.assert_close(x, y.flatten(0, 1).to(x.dtype))
+        metrics["explained_variance"] = 1 - (A.var() / (A + V).var()).item()
+        assert dict(row[list(metrics)]) == pytest.approx(metrics)
 
 
-@pytest.mark.parametrize(("size", "steps"), [(2, 150), (33, 10), (51, 6), (1000, 1)])
-def test_each_sample_is_used_once_an_epoch_and_parameters_stay_finite(size, steps):
-    """Also where a minibatch is of a single row, in which A becomes 0."""
+@pytest.mark.parametrize(("count", "size", "steps"), [
+    (100, 2, 50), (100, 51, 2), (100, 33, 4), (100, 99, 2), (128, 512, 1)])
+def test_each_sample_is_used_once_an_epoch_and_parameters_stay_finite(count, size, steps):
+    """Also where a minibatch is of a single row, in which A becomes 0, or larger than all rows."""
     agent = make()
-    samples = make_samples(agent)
-    seen, _ = optimise(agent, samples, lr=1e-3, epochs=3, size=size)
-    assert len(seen) == steps
-    order = np.reshape(find_rows(samples, torch.cat([obs for obs, *_ in seen])), (3, 100))
-    assert (np.sort(order) == np.arange(100)).all()
+    minibatches, gradients, metrics = optimise(
+        agent, make_samples(agent, count=count), lr=1e-3, epochs=3, size=size)
+    assert len(minibatches) == len(gradients) == 3 * steps
+    assert all(len(rows) <= size for rows, _ in minibatches)
+    order = np.reshape(np.concatenate([rows for rows, _ in minibatches]), (3, count))
+    assert (np.sort(order) == np.arange(count)).all()
     assert len(np.unique(order, axis=0)) == 3
-    assert all(p.isfinite().all() for p in agent.parameters())
+    assert all(x.isfinite().all() for x in (*agent.parameters(), torch.tensor([*metrics.values()])))
 
 
-def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step(monkeypatch):
+def test_a_rollout_smaller_than_a_minibatch_is_one_step_an_epoch(monkeypatch):
+    sizes = spy(monkeypatch, ppo, "policy_loss", lambda ratio, *_: len(ratio))
+    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", "--num-envs", 1, "--rollout-steps",
+          128, "--total-steps", 128, "--minibatch-size", 512, "--epochs", 7, "--max-kl", 1e9)
+    assert sizes == [128] * 7
+
+
+def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step():
+    """The bar lies below a KL that is above all before it, so it is known where an update ends."""
     agent = make()
-    kls = spy(monkeypatch, ppo, "approximate_kl", lambda x: (x.exp() - 1 - x).mean().item())
-    steps, metrics = optimise(agent, make_samples(agent), lr=0.003, epochs=20, max_kl=0.01)
-    assert 3 < len(kls) < 57  # not even in the last epoch
-    assert kls[-1] > 0.01 >= max(kls[:-1])
-    assert len(steps) == len(kls) - 1
-    assert metrics["kl"] == pytest.approx(kls[-1], rel=1e-3)
+    samples, again = make_samples(agent), copy.deepcopy(agent)
+    state = torch.get_rng_state()
+    minibatches, *_ = optimise(agent, samples, lr=0.003, epochs=9)
+    kls = [by_hand(before, samples, rows, 0.2)[1]["kl"] for rows, before in minibatches]
+    records = [i for i in range(1, len(kls)) if kls[i] > max(kls[:i])]
+    end = records[len(records) // 2]
+    torch.set_rng_state(state)
+    minibatches, gradients, metrics = optimise(
+        again, samples, lr=0.003, epochs=9, max_kl=(kls[end] + max(kls[:end])) / 2)
+    assert len(minibatches) == len(gradients) + 1 == end + 1
+    assert metrics["kl"] == pytest.approx(kls[end])
 
 
 def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypatch):
     """Reward 1: F is 1, 1 + γ, 1 + γ + γ², …, and 1 again after the time limit of 8 steps."""
-    seen = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_: rewards)
+    seen = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_, **__: rewards)
     train(monkeypatch, ppo, "--env-id", "harness:Forever-v0", *SIZES, "--gamma", 0.8,
           "--total-steps", 300)
     assert len(seen) == 3
@@ -209,7 +223,7 @@ def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypa
 
 
 def test_reward_1_for_ever_is_worth_1_over_1_minus_gamma_despite_time_limits(monkeypatch):
-    scales = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_: rewards[0, 0].item())
+    scales = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_, **__: rewards[0, 0].item())
     rollouts = spy_rollouts(monkeypatch, ppo)
     train(monkeypatch, ppo, "--env-id", "harness:Timeless-v0", *SIZES, "--gamma", 0.9,
           "--learning-rate", 1e-2, "--rollout-steps", 16, "--minibatch-size", 64,
