@@ -23,16 +23,16 @@ of an episode. Two neural networks learn:
 Without V an episode must end before we know what followed each action. In A2C (A3C [1] with all
 environments in step) V stands in for the rewards still to come. One update:
 
-  1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus.
+  1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus (in 5).
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that what V has to predict is neither tiny nor huge.
   4. Estimate the advantages A (GAE [2]): how much better each action turned out than what π does on
      average. A + V(s) then estimates the reward to go: the target for V.
   5. Take one gradient step to lower, over the whole rollout,
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
-     It makes actions of above-average A more likely, the others less. The entropy is high while π
-     is undecided; the bonus keeps π from settling on one action before it has tried the others.
-     Then throw the rollout away, because it shows what the old π did.
+     with A standardised, so that actions above the average become more likely, the others less. The
+     entropy is high while π is undecided; the bonus keeps π from settling on one action before it
+     has tried the others. Then throw the rollout away, because it shows what the old π did.
   6. Update the statistics that normalise observations. Start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
@@ -86,7 +86,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s)."""
         logits = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Categorical(logits=logits, validate_args=False)  # faster
+        return torch.distributions.Categorical(logits=logits, validate_args=False)  # for speed
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # A spread below 1e-8 of the mean is rounding; the floor avoids dividing by 0.
+        # A spread below 1e-8 of the mean counts as none; nothing is divided by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -187,7 +187,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
-    terminates there, this is the reward to go minus V(s_t): REINFORCE with V as its baseline.
+    terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -236,31 +236,36 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coe
 # --- Environments ---------------------------------------------------------------------------------
 
 
-def make_envs(args, count, mode="NextStep", **kwargs):
-    """`count` environments in a vector: actions (N,) in, observations (N, D) and so on out.
+def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kwargs):
+    """A vector of `count` environments: actions (N,) in; observations (N, D), rewards (N,), … out.
 
-    `--vectorization sync` steps them one after the other, in this process. With async each has a
-    process of its own. At every step actions are sent to it and observations back, and all wait for
-    the slowest. On two cores this pays once a step takes longer than about 0.1 ms; here it takes
-    0.03 ms. Only training runs in processes.
+    `--vectorization sync` steps one after the other, in this process. With async each has a process
+    of its own, so at every step a message goes to each and back, and all wait for the slowest:
 
-    Usually a vector resets an environment by itself, in the step after an episode has ended (mode
-    "NextStep"). That step ignores the action and earns 0: a transition that never happened, which
-    an agent must not learn from. Evaluation only counts first episodes, so it does not mind.
-    Training takes "Disabled", and `rollout` resets what its mask says: again N rows come back,
-    and those outside the mask are as they were.
+        sync     N·step
+        async    N·step/cores + N·message
+
+    A message takes some 0.04 ms, so on two cores async pays from 0.08 ms a step on. A step on the
+    moon takes 0.03 ms. Evaluations are rare, so they always take sync.
+
+    By default ("NextStep") a vector resets an environment in the step after the end of its episode.
+    That step ignores the action and earns nothing: a transition that never happened, from which an
+    agent should not learn. So in training ("Disabled") none resets itself, and `rollout` calls
+    `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
+    counts first episodes, so there NextStep does no harm and takes less code.
     """
     wrappers = [Tidy, RandomPhysics] if args.randomize else [Tidy]  # the last is the outermost
     if args.randomize and "LunarLander" not in args.env_id:
         raise gym.error.Error("--randomize knows the physics of LunarLander only")
-    vectorization = args.vectorization if mode == "Disabled" else "sync"
+    if args.vectorization == "async" and len(args.seed) > 1:
+        raise gym.error.Error("--vectorization async takes one --seed: processes of processes")
     envs = gym.make_vec(args.env_id, count, vectorization, wrappers=wrappers,
-                        vector_kwargs={"autoreset_mode": mode}, **kwargs)
+                        vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and len(obs_space.shape) == 1
             and isinstance(space, gym.spaces.Discrete) and space.start == 0):
         envs.close()
-        raise gym.error.Error(f"needs a flat Box of observations and Discrete actions, from 0 on "
+        raise gym.error.Error("needs a flat Box of observations and Discrete actions, from 0 on "
                               f"(see docs/guide.md); has {obs_space} and {space}")
     return gym.wrappers.vector.TransformObservation(
         envs, lambda obs: check_finite(f"an observation of {args.env_id}", obs.astype(float)))
@@ -281,15 +286,15 @@ class RandomPhysics(gym.Wrapper):
     Here it does not pay: on random moons the two are within the noise. It may where worlds are far
     from the simulator.
 
-    For an environment of your own write such a wrapper, and change the first three lines of
-    `make_envs`. Draw from ranges as wide as your doubts: this moon refuses a gravity of −12, and
-    its documentation recommends these winds. Set the numbers before the environment's own reset,
-    and compute anew what it has derived from them. For CartPole's poles, for instance:
+    For an environment of your own write such a wrapper, and name both in `make_envs`. Draw from
+    ranges as wide as your doubts (Gymnasium allows this moon a gravity above −12, and recommends
+    these winds). Set the numbers before the environment's own reset. Nothing checks them, and what
+    its `__init__` has derived from others must be computed anew. For CartPole, for instance:
 
-        pole = self.unwrapped
-        pole.length, pole.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
-        pole.total_mass = pole.masspole + pole.masscart
-        pole.polemass_length = pole.masspole * pole.length
+        cart = self.unwrapped
+        cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
+        cart.total_mass = cart.masspole + cart.masscart
+        cart.polemass_length = cart.masspole * cart.length
     """
 
     def reset(self, *, seed=None, options=None):
@@ -312,7 +317,7 @@ def train(index, args, folder):
     seed = args.seed[index]
     make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
-          closing(make_envs(args, args.num_envs, "Disabled")) as envs):  # `rollout` resets them
+          closing(make_envs(args, args.num_envs, args.vectorization, "Disabled")) as envs):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -328,7 +333,7 @@ def train(index, args, folder):
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
             # 4. Estimate advantages and targets, which are constants in 5.
-            with torch.no_grad():  # s_{t+1} is not the next row where an episode has ended
+            with torch.no_grad():  # where an episode ends, s_{t+1} is not the state of the next row
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -405,8 +410,9 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
+    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
+    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
@@ -417,7 +423,9 @@ def make_repeatable(seed):
 
 
 class Tidy(gym.Wrapper):
-    """An environment whose spaces no other shares, and whose `info` is an episode's return."""
+    """An environment with spaces of its own (often all share those of their class; an evaluation
+    must not change what training draws), whose `info` is only an episode's return.
+    """
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
@@ -425,8 +433,8 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
+                vars(self.unwrapped)[name] = space  # also where the class has a property
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -457,7 +465,7 @@ def evaluate(agent, envs, seed):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # environments that are done went on, but did not count
+        if not playing.any():  # others went on with another episode, which did not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -550,21 +558,17 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
     finally:  # after Ctrl-C, too
-        for process in torch.multiprocessing.active_children():
-            process.terminate()
-            process.join()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
-            shutil.rmtree(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback, but the signal again, which ends a shell's loop, too
-        print("interrupted", flush=True)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:  # no traceback
+        print("interrupted")
+        sys.exit(130)  # as a shell says it

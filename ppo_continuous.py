@@ -86,7 +86,7 @@ class Agent(nn.Module):
     def policy(self, obs):
         """Observations (…, D) -> π(·|s): a Gaussian for each of the K numbers of an action."""
         mean = self.actor(self.obs_stats.normalise(obs))
-        return torch.distributions.Normal(mean, self.sigma, validate_args=False)  # faster
+        return torch.distributions.Normal(mean, self.sigma, validate_args=False)  # for speed
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,), in units of scaled rewards."""
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # A spread below 1e-8 of the mean is rounding; the floor avoids dividing by 0.
+        # A spread below 1e-8 of the mean counts as none; nothing is divided by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -217,7 +217,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
-    terminates there, this is the reward to go minus V(s_t): REINFORCE with V as its baseline.
+    terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -282,7 +282,7 @@ def train(index, args, folder):
     seed = args.seed[index]
     make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
-          closing(make_envs(args, args.num_envs, "Disabled")) as envs):  # `rollout` resets them
+          closing(make_envs(args, args.num_envs, "Disabled")) as envs):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         reward_stats, past_rewards = RunningStatistics(), 0.0
@@ -300,7 +300,7 @@ def train(index, args, folder):
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():  # s_{t+1} is not the next row where an episode has ended
+            with torch.no_grad():  # where an episode ends, s_{t+1} is not the state of the next row
                 old_policy = agent.policy(batch.obs)
                 old_log_probs = old_policy.log_prob(batch.actions).sum(-1)
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -383,8 +383,9 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
+    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
+    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
@@ -394,10 +395,10 @@ def make_repeatable(seed):
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
-def make_envs(args, count, mode="NextStep", **kwargs):
-    """`count` environments; in this mode, for evaluation, they reset themselves when done."""
+def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
+    """A vector of `count` environments; in this mode, for evaluation, they reset themselves."""
     envs = gym.make_vec(args.env_id, count, "sync", wrappers=[Tidy],
-                        vector_kwargs={"autoreset_mode": mode}, **kwargs)
+                        vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
@@ -411,7 +412,9 @@ def make_envs(args, count, mode="NextStep", **kwargs):
 
 
 class Tidy(gym.Wrapper):
-    """An environment whose spaces no other shares, and whose `info` is an episode's return."""
+    """An environment with spaces of its own (often all share those of their class; an evaluation
+    must not change what training draws), whose `info` is only an episode's return.
+    """
 
     def reset(self, *, seed=None, options=None):
         self.total = 0.0
@@ -419,8 +422,8 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a vector may pass {}
+                vars(self.unwrapped)[name] = space  # also where the class has a property
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -451,7 +454,7 @@ def evaluate(agent, envs, seed):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # environments that are done went on, but did not count
+        if not playing.any():  # others went on with another episode, which did not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -544,21 +547,17 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
     finally:  # after Ctrl-C, too
-        for process in torch.multiprocessing.active_children():
-            process.terminate()
-            process.join()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
-            shutil.rmtree(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback, but the signal again, which ends a shell's loop, too
-        print("interrupted", flush=True)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:  # no traceback
+        print("interrupted")
+        sys.exit(130)  # as a shell says it

@@ -283,8 +283,9 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, different for each stream: 0 global generators, 1 evaluation, 2 training."""
-    return (np.random.SeedSequence(seed, spawn_key=(stream,)).generate_state(count) // 2).tolist()
+    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
+    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
@@ -295,7 +296,7 @@ def make_repeatable(seed):
 
 
 def make_envs(args, count, **kwargs):
-    """`count` environments, which reset themselves when done."""
+    """A vector of `count` environments, which reset themselves after the end of an episode."""
     envs = gym.make_vec(args.env_id, count, "sync", wrappers=[
         lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -315,7 +316,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space
+                vars(self.unwrapped)[name] = space  # also where the class has a property
         return self.look(self.env.reset(seed=seed, options=options or None)[0]), {}
 
     def step(self, action):
@@ -351,7 +352,7 @@ def evaluate(agent, envs, seed):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # environments that are done went on, but did not count
+        if not playing.any():  # others went on with another episode, which did not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -444,21 +445,17 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
     finally:  # after Ctrl-C, too
-        for process in torch.multiprocessing.active_children():
-            process.terminate()
-            process.join()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
-            shutil.rmtree(folder)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback, but the signal again, which ends a shell's loop, too
-        print("interrupted", flush=True)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt:  # no traceback
+        print("interrupted")
+        sys.exit(130)  # as a shell says it
