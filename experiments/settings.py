@@ -22,12 +22,6 @@ JOBS = [*(Job(script, options, seed=first + i)
         *(Job(PPO, HUMANOID, change, seed) for seed in range(71, 76) for change in CHANGES)]
 
 
-def measure(job):
-    """The last evaluation."""
-    rows, _ = study.train(job)
-    return rows.tail(1)
-
-
 def draw(rows):
     lines = []
     for options, runs in rows[rows["options"].isin(SETTINGS)].groupby("options"):
@@ -48,4 +42,4 @@ def draw(rows):
 
 
 if __name__ == "__main__":
-    study.main(JOBS, draw, measure)
+    study.main(JOBS, draw, study.last_evaluation)
