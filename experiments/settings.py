@@ -27,10 +27,9 @@ def draw(rows):
     for options, runs in rows[rows["options"].isin(SETTINGS)].groupby("options"):
         lines.append([f"`python {SETTINGS[options][0]} {options}`", study.listed(runs["return"]),
                       number(runs["return"].mean()), number(runs["seconds"].median() / 60, 1)])
-    with_tanh = study.read("returns")
-    with_tanh = with_tanh[(with_tanh["options"] == HUMANOID) & (with_tanh["change"] == "")]
-    usual, humanoid = study.final_rows(with_tanh)["return"], []
-    humanoid.append(["as it is", len(usual), study.spread(usual), "", ""])
+    finals = study.final_rows(study.read("returns"))
+    usual = finals.loc[finals["options"] == HUMANOID, "return"]
+    humanoid = [["as it is", len(usual), study.spread(usual), "", ""]]
     for change in CHANGES:
         returns = rows.loc[rows["change"] == change, "return"]
         gain = study.welch(returns, usual)
