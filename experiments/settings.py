@@ -22,21 +22,14 @@ JOBS = [*(Job(script, options, seed=first + i)
         *(Job(PPO, HUMANOID, change, seed) for seed in range(71, 76) for change in CHANGES)]
 
 
-def measure(job):
-    """The last evaluation."""
-    rows, _ = study.train(job)
-    return rows.tail(1)
-
-
 def draw(rows):
     lines = []
     for options, runs in rows[rows["options"].isin(SETTINGS)].groupby("options"):
         lines.append([f"`python {SETTINGS[options][0]} {options}`", study.listed(runs["return"]),
                       number(runs["return"].mean()), number(runs["seconds"].median() / 60, 1)])
-    with_tanh = study.read("returns")
-    with_tanh = with_tanh[(with_tanh["options"] == HUMANOID) & (with_tanh["change"] == "")]
-    usual, humanoid = study.final_rows(with_tanh)["return"], []
-    humanoid.append(["as it is", len(usual), study.spread(usual), "", ""])
+    finals = study.final_rows(study.read("returns"))
+    usual = finals.loc[finals["options"] == HUMANOID, "return"]
+    humanoid = [["as it is", len(usual), study.spread(usual), "", ""]]
     for change in CHANGES:
         returns = rows.loc[rows["change"] == change, "return"]
         gain = study.welch(returns, usual)
@@ -48,4 +41,4 @@ def draw(rows):
 
 
 if __name__ == "__main__":
-    study.main(JOBS, draw, measure)
+    study.main(JOBS, draw, study.last_evaluation)

@@ -76,6 +76,11 @@ def train(job):
     return rows.join(period["sampled"].mean()), weights
 
 
+def last_evaluation(job):
+    rows, _ = train(job)
+    return rows.tail(1)
+
+
 def git(*command):
     return subprocess.run(["git", *command], cwd=ROOT, text=True, capture_output=True).stdout
 

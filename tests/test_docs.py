@@ -56,6 +56,15 @@ def test_every_snippet_compiles(block):
     compile(re.sub(r"^[!%].*$", "", block, flags=re.MULTILINE), "snippet", "exec")
 
 
+def test_a_trained_agent_plays_in_code_of_your_own(tmp_path):
+    (block,) = [x for x in SNIPPETS if "torch.load" in x]
+    path = SCRIPTS["ppo_continuous"].train(tmp_path)
+    block = block.replace("runs/…/seed-1", str(path)).replace("range(1000)", "range(2)")
+    played = {}
+    exec(block, played)
+    assert played["rewards"].shape == (1,)
+
+
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
              "--array", "--wrap", "--tb", "--quick"}  # of diff, torchrun, SLURM, pytest, a study

@@ -9,6 +9,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import ablation
+import gymnasium as gym
 import merge
 import numpy as np
 import pandas as pd
@@ -114,6 +115,16 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
     assert rows[["processor", "torch", "gymnasium", "mujoco"]].notna().all(axis=None)
 
 
+def test_a_row_is_an_evaluation_with_the_mean_return_in_training_since_the_last(monkeypatch):
+    log = pd.DataFrame({"env_step": [1, 2, 3, 4, 5], "seconds": 1.0, "return": [1, 2, 3, 4, 5],
+                        "eval_return": [10, np.nan, 30, np.nan, 50]})
+    monkeypatch.setattr(study, "run", lambda *_: (log, "weights"))
+    rows, _ = study.train(study.Job("ppo_continuous.py"))
+    assert rows[["steps", "return", "sampled"]].to_numpy().tolist() == [
+        [1, 10, 1], [3, 30, 2.5], [5, 50, 4.5]]
+    assert study.last_evaluation(study.Job("ppo_continuous.py"))["return"].tolist() == [50]
+
+
 @pytest.fixture
 def repository(tmp_path, monkeypatch):
     """With one commit of the file x.py; study.ROOT."""
@@ -198,6 +209,8 @@ def test_the_rule_of_trials(factors, lost, taken):
             fallen = [lost, 0, 7][seed - 1] if typed else 5
             rows.append((trials.PENDULUM + typed, seed, 9000, fallen))
     rows = pd.DataFrame(rows, columns=["options", "seed", "return", "lost"]).assign(change="")
+    other = rows.assign(change="critic-goes-on", **{"return": 1, "lost": 100})
+    rows = pd.concat([rows, other])
     line = trials.draw(rows)["trials"].splitlines()[-1].split("|")[1:-1]
     name, *ratios, mean, _, _, usual, answer = (x.strip() for x in line)
     assert name == "`--gae-lambda 0.92`"
@@ -222,6 +235,17 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
     assert f"has not ended: {cut}.csv" in out
     assert (tmp_path / "merged.png").exists()
+
+
+def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
+    """Episodes of 3 steps: the limit is met in each, missed by one, or far."""
+    for limit, lost in (2, 0), (3, 0), (4, 2):
+        envs = gym.make_vec("harness:ThreeSteps-v0", 2, "sync", max_episode_steps=limit)
+        counting = trials.CountLost(envs)
+        counting.reset(seed=1)
+        for _ in range(9):
+            counting.step(envs.action_space.sample())
+        assert counting.lost == lost
 
 
 def test_folders_without_a_run_get_the_usage(tmp_path):
