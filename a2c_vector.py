@@ -354,7 +354,7 @@ def train(index, args, folder):
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean(returns) if returns else np.nan, **metrics})
-            # After the first update, then whenever another 1/num_evals of all steps is done.
+            # After the first update, then whenever evals_done/num_evals of the steps are over.
             if env_step >= evals_done / args.num_evals * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
@@ -497,16 +497,17 @@ def watch(path):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
     except Exception as error:
-        sys.exit(f"--watch {path}: no agent that can be played: {error!r}")
+        sys.exit(f"--watch {path}: cannot be played: {error!r}")
     print("return:", evaluate(agent, envs, args.seed[0]))
+    envs.close()
     try:
-        envs = make_envs(args, 1, render_mode="rgb_array")
-        fps = envs.metadata.get("render_fps", 20)
-        every = max(1, fps // 25)  # steps for a frame
-        obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
-        with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
+        with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
+              imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
+            fps = envs.metadata.get("render_fps", 20)
+            every = max(1, round(fps / 25))  # steps for a frame
+            obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
             for step in range(200 * every):
-                if step % every == 0:  # 8 bits: it keeps what it will write
+                if step % every == 0:
                     film.write(
                         envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
@@ -519,7 +520,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the episodes that ended in an update's rollout. Below: each metric.
+    Pale: the mean return of the episodes that ended in an update's data. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -552,8 +553,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit, so evaluations end after 1,000 steps; to "
-              "choose another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit: episodes in evaluation (of REINFORCE: all) "
+              "end after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

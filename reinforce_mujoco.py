@@ -36,8 +36,8 @@ learns by trial and error: actions followed by high rewards become more likely.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
-order of 1) and, with any baseline, V(s_T) for the rewards that a time limit cuts off [3]. Nothing
-is rescaled: where observations, actions or rewards are far from 1, PPO's file will do better.
+order of 1) and V(s_T) for the rewards that a time limit cuts off [3], also with the other two
+baselines. Nothing is rescaled: observations, actions and rewards should be of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -99,7 +99,7 @@ class Agent(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 by custom
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: the usual gain
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -166,15 +166,15 @@ def policy_loss(log_probs, advantages):
         ∫ π·∇log π da = ∫ ∇π da = ∇∫ π da = ∇1 = 0
 
     It stays 0 when multiplied by anything that is fixed by then: an earlier reward, or a number
-    b(s_t). Such terms add nothing but noise, so we leave the earlier rewards out. And we may
-    subtract a b(s_t) to make the rest smaller. If b ≈ V, bad actions get a negative factor; without
-    it, positive rewards push up every action that was tried, the better ones only more.
+    b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the earlier
+    rewards, which add noise, and subtract a b(s_t), which takes some away: if b ≈ V, bad actions
+    get a negative factor, while without it positive rewards push up every action that was tried.
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
     A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step on the loss is one
     up the mean return (minus: optimisers descend). It differs from the formula as follows:
-      - a mean over steps, not episodes, only rescales the gradient, which Adam nearly undoes;
+      - a mean over steps, not a sum an episode, keeps long episodes from larger gradients;
       - γ < 1, without the factor γ^t that [2] has, accepts some bias for less noise;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
@@ -185,7 +185,7 @@ def policy_loss(log_probs, advantages):
 def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     """3 and 4, on the B steps of a batch. Returns metrics."""
     values = agent.value(obs)
-    # Constants: the actor must not make V worse to look better.
+    # Detached, as the actor's loss must not train the critic.
     advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions).sum(-1), advantages)
@@ -193,7 +193,8 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # How well V predicted G, up to a constant: 1 is perfectly, 0 or less is of no use.
+    # How well V predicted G, up to a constant: 1 is perfectly; 0 or less means that V is of no use,
+    # or that G hardly varies.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -207,7 +208,7 @@ def train(index, args, folder):
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # side by side: faster
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # together, which is faster
           closing(make_envs(args, 1)) as envs):
         (env,) = envs.envs
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
@@ -233,7 +234,7 @@ def train(index, args, folder):
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean([sum(x) for x in rewards]), **metrics})
-            # After the first update, then whenever another 1/num_evals of all steps is done.
+            # After the first update, then whenever evals_done/num_evals of the steps are over.
             if env_step >= evals_done / args.num_evals * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
@@ -384,16 +385,17 @@ def watch(path):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(saved["agent"])
     except Exception as error:
-        sys.exit(f"--watch {path}: no agent that can be played: {error!r}")
+        sys.exit(f"--watch {path}: cannot be played: {error!r}")
     print("return:", evaluate(agent, envs, args.seed[0]))
+    envs.close()
     try:
-        envs = make_envs(args, 1, render_mode="rgb_array")
-        fps = envs.metadata.get("render_fps", 20)
-        every = max(1, fps // 25)  # steps for a frame
-        obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
-        with imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film:
+        with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
+              imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
+            fps = envs.metadata.get("render_fps", 20)
+            every = max(1, round(fps / 25))  # steps for a frame
+            obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
             for step in range(200 * every):
-                if step % every == 0:  # 8 bits: it keeps what it will write
+                if step % every == 0:
                     film.write(
                         envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
@@ -406,7 +408,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the episodes that ended in an update's rollout. Below: each metric.
+    Pale: the mean return of the episodes that ended in an update's data. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -439,8 +441,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit, so evaluations end after 1,000 steps; to "
-              "choose another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit: episodes in evaluation (of REINFORCE: all) "
+              "end after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -31,7 +31,7 @@ def our_speed(module, args):
 
 def stepping_speed(module, args, count):
     """Of our environments without a learner, with actions drawn beforehand."""
-    envs = module.make_envs(args, args.num_envs, "Disabled")
+    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
     envs.reset(seed=1)
     actions = [envs.action_space.sample() for _ in range(count)]
     start = time.perf_counter()
