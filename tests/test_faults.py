@@ -9,7 +9,19 @@ import pytest
 import torch
 from conftest import only
 from gymnasium.spaces import Box, Discrete
-from harness import ACTIONS, SEED, Uneven, World, load, read_log, register, run, run_folder, spy, train
+from harness import (
+    ACTIONS,
+    SEED,
+    Uneven,
+    World,
+    load,
+    read_log,
+    register,
+    run,
+    run_folder,
+    spy,
+    train,
+)
 from PIL import Image
 
 # --- What it shows, pays and says -----------------------------------------------------------------
@@ -223,11 +235,11 @@ register("LongLimit", limit=1100, length=None)
 def test_only_an_episode_without_registered_limit_is_cut_and_a_line_says_so(
         script, name, call):
     """By an evaluation and by REINFORCE, which needs whole episodes, after 1,000 steps."""
-    options = "--total-steps 1300 --num-evals 1 --eval-episodes 1".split()
+    options = ["--total-steps", "1300", "--num-evals", "1", "--eval-episodes", "1"]
     if script.name == "reinforce_mujoco":
         options += ["--batch-episodes", "1"]
     else:
-        options += "--num-envs 1 --rollout-steps 1300".split()
+        options += ["--num-envs", "1", "--rollout-steps", "1300"]
     out = call(script, "--env-id", script.world(name, "test_faults"), *options)
     log = read_log(run_folder(".") / "seed-1.csv")
     cut = 1000 if script.name == "reinforce_mujoco" else 1200

@@ -1,6 +1,7 @@
 """Each option reaches its place, and the log says what happened: one training of odd numbers."""
 
 import inspect
+import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,7 @@ import pytest
 import torch
 from conftest import SCRIPTS
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from harness import World, read_log, register, run_folder
+from harness import World, read_log, register
 
 register("Slow", type("Slow", (World,), {"observe": lambda self: time.sleep(0.001) or (
     World.observe(self))}))
@@ -81,7 +82,7 @@ def seen(script, tmp_path_factory):
     cwd, options = tmp_path_factory.mktemp(script.name), options_of(script)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(cwd)
-        patch.setattr("sys.path", [*__import__("sys").path])
+        patch.setattr("sys.path", sys.path[:])
         patch.setattr("sys.argv", [script.file, *typed(options)])
         calls, start = spy_on_all(patch, script.module), time.perf_counter()
         script.module.main()
@@ -154,7 +155,7 @@ CHECKS = {
         torch.allclose(gae.rewards, 0.37 * rollout.result[0].rewards.float())
         for gae, rollout in zip(x.compute_gae, x.rollout, strict=True)),
     "entropy_coef": lambda x: same([c.entropy_coef for c in x.optimise], 0.019 * before(x)),
-    "max_grad_norm": lambda x: same(clipped(x), [0.0041] * 2) or clipped(x),
+    "max_grad_norm": lambda x: same(clipped(x), [0.0041] * 2),
     "epochs": lambda x: steps_of(x) == 2 * 3 * len(x.log),  # 24 samples are 9 + 9 + 6
     "minibatch_size": lambda x: same(
         [len(call.ratio) for call in x.policy_loss], [9, 9, 6] * 2 * len(x.log)),
@@ -170,7 +171,7 @@ CASES = [(name, option) for name, script in SCRIPTS.items() for option in vars(s
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12
 @pytest.mark.parametrize(("script", "option"), CASES, indirect=["script"])
 def test_an_option_reaches_its_place(script, option, seen):
-    assert CHECKS[option](seen) is True or CHECKS[option](seen)
+    assert CHECKS[option](seen)
     saved = torch.load(f"{seen.path}.pt", weights_only=True)
     assert saved["options"][option] == getattr(seen.args, option)
     assert getattr(script.args(), option) != getattr(seen.args, option) or option == "watch"
@@ -183,9 +184,10 @@ def test_the_log_says_what_happened(script, seen):
     assert log["eval_return"].notna().iloc[[0, -1]].all()
     training, _ = players(seen)
     if script.name == "reinforce_mujoco":
-        steps = [sum(len(x.result[2]) for x in training[i:i + 8]) for i in range(0, len(training), 8)]
-        returns = [np.mean([sum(x.result[2]) for x in training[i:i + 8]])
-                   for i in range(0, len(training), 8)]
+        rewards = [call.result[2] for call in training]
+        batches = [rewards[i:i + 8] for i in range(0, len(rewards), 8)]
+        steps = [sum(map(len, batch)) for batch in batches]
+        returns = [np.mean([sum(episode) for episode in batch]) for batch in batches]
     else:
         steps = [24] * len(training)
         returns = [np.mean(x.result[2]) if x.result[2] else np.nan for x in training]
@@ -195,13 +197,12 @@ def test_the_log_says_what_happened(script, seen):
     assert seconds.is_monotonic_increasing
     assert seconds.iloc[-1] < seen.duration
     if "Slow" in seen.args.env_id:  # a step takes a millisecond, also in evaluations
-        assert (seconds > 0.001 * log["env_step"] / (1 if hasattr(seen, "play") else 1)).all()
+        assert (seconds > 0.001 * log["env_step"]).all()
 
 
 @pytest.mark.parametrize("options", [[], ["--eval-episodes", 6, "--seed", 9]])
 def test_watch_takes_the_options_of_the_file_except_for_those_typed(
-        script, seen, options, call, monkeypatch, watch):
-    monkeypatch.setattr("sys.excepthook", None)
+        script, seen, options, monkeypatch, watch):
     if script.name == "a2c_vector":
         options = [*options, *["--no-randomize"] * bool(options)]
     calls = spy_on_all(monkeypatch, script.module)
