@@ -119,7 +119,7 @@ def call(monkeypatch, tmp_path, capsys):
         monkeypatch.setattr(sys, "argv", [script.file, *map(str, arguments)])
         capsys.readouterr()
         script.module.main()
-        return capsys.readouterr().out
+        return "".join(capsys.readouterr())
 
     return call
 
@@ -150,6 +150,6 @@ def watch(call, capsys):
             out = call(script, "--watch", f"{path}.pt", *options)
         except SystemExit as error:
             out, end = capsys.readouterr().out, error.code
-        return float(out.removeprefix("return:")), end
+        return float(out.removeprefix("return:").split()[0]), end
 
     return watch

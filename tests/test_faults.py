@@ -355,7 +355,7 @@ def film(name, length, shape=Bar.shape, **metadata):
 film("Usual", 60, render_fps=20)
 film("Fast", 100, render_fps=50)
 film("Faster", 120, render_fps=125)
-film("Slow", 12, render_fps=4)
+film("Calm", 12, render_fps=4)
 film("Lasting", 999, render_fps=20)
 film("Silent", 30)
 film("Gray", 60, (64, 401), render_fps=20)
@@ -364,7 +364,7 @@ gym.register("Old-v0", type("Old", (World,), {"metadata": {"render.modes": ["hum
 
 
 @pytest.mark.parametrize(("name", "length", "fps", "every"), [
-    ("Usual", 60, 20, 1), ("Fast", 100, 50, 2), ("Faster", 120, 125, None), ("Slow", 12, 4, 1),
+    ("Usual", 60, 20, 1), ("Fast", 100, 50, 2), ("Faster", 120, 125, None), ("Calm", 12, 4, 1),
     ("Lasting", 300, 20, 1), ("Silent", 30, 20, 1), ("Gray", 60, 20, 1), ("Clear", 60, 20, 1)])
 @only("a2c_vector")
 def test_a_film_shows_an_episode_as_it_was_at_its_own_speed(
