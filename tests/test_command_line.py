@@ -152,5 +152,6 @@ def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, call, ca
     assert text.isascii()
     flat = " ".join(text.split())
     for name in vars(script.args()):
-        words = re.search(rf"--{name.replace('_', '-')}(?:, --no-\w+)? (.*?)(?= --|$)", flat).group(1)
+        flag = name.replace("_", "-")
+        words = re.search(rf"--{flag}(?:, --no-\w+)? (.*?)(?= --|$)", flat).group(1)
         assert re.search(r"[a-z]{3}", words.split("(default")[0]), name

@@ -1,6 +1,7 @@
 """Environments as people have them: odd numbers, odd generators, no limit, no end; their films."""
 
 import random
+from contextlib import nullcontext
 
 import gymnasium as gym
 import numpy as np
@@ -57,20 +58,13 @@ class SameArray(Bits):
         return self.shown
 
 
-class Strict(Bits):
-    """Wants options to be None, and a seed that fits into an int32."""
+class Demanding(Bits):
+    """Wants options None and a seed for an int32; says something else in `info` at every step."""
 
     def reset(self, *, seed=None, options=None):
         assert options is None
         np.int32(seed or 0)
-        return super().reset(seed=seed)
-
-
-class Talkative(Bits):
-    """Says something else in `info` at every step."""
-
-    def reset(self, **options):
-        return super().reset(**options)[0], self.info()
+        return super().reset(seed=seed)[0], self.info()
 
     def info(self):
         noise = [None, "fell", 3, np.zeros(self.steps), {"x": [1] * self.total}, object()]
@@ -78,28 +72,26 @@ class Talkative(Bits):
         return {key: noise[(self.total + i) % 6] for i, key in enumerate(keys)}
 
 
-def kind(base=Bits, **attributes):
-    attributes = {name: staticmethod(function) for name, function in attributes.items()}
-    return type("Kind", (base,), attributes)
+def kind(**attributes):
+    return type("Kind", (Bits,), {name: staticmethod(x) for name, x in attributes.items()})
 
 
-register("Bits", Bits)
+DTYPES = "bool", "uint8", "uint16", "uint32", "int64", "float16", "float64", "longdouble"
 KINDS = {
-    **{f"space of {x}": (kind(look=lambda numbers, x=x: np.array(numbers, x)), x) for x in (
-        "bool", "uint8", "uint16", "uint32", "int64", "float16", "float64", "longdouble")},
-    "big-endian": (kind(look=lambda numbers: np.array(numbers, ">f4")), "float32"),
-    "backwards": (kind(look=lambda x: np.float32(x[::-1])[::-1]), "float32"),
-    "strided": (kind(look=lambda numbers: np.float32(numbers).repeat(3)[::3]), "float32"),
-    "read-only": (kind(look=read_only), "float32"),
-    "same array": (SameArray, "float32"),
-    "reward (1,)": (kind(pay=lambda x: np.array([x])), "float32"),
-    "reward ()": (kind(pay=np.array), "float32"),
-    "reward float16": (kind(pay=np.float16), "float32"),
-    "reward longdouble": (kind(pay=np.longdouble), "float32"),
-    "strict": (Strict, "float32"),
-    "talkative": (Talkative, "float32")}
-for i, (world, dtype) in enumerate(KINDS.values()):
-    register(f"Kind{i}", world, dtype=dtype)
+    **{dtype: kind(look=lambda bits, dtype=dtype: np.array(bits, dtype)) for dtype in DTYPES},
+    "big-endian": kind(look=lambda bits: np.array(bits, ">f4")),
+    "backwards": kind(look=lambda bits: np.float32(bits[::-1])[::-1]),
+    "strided": kind(look=lambda bits: np.float32(bits).repeat(3)[::3]),
+    "read-only": kind(look=read_only),
+    "same array": SameArray,
+    "demanding": Demanding,
+    "reward (1,)": kind(pay=lambda x: np.array([x])),
+    "reward ()": kind(pay=np.array),
+    "reward float16": kind(pay=np.float16),
+    "reward longdouble": kind(pay=np.longdouble)}
+register("Bits", Bits)
+for i, (name, world) in enumerate(KINDS.items()):
+    register(f"Kind{i}", world, dtype=name if name in DTYPES else "float32")
 
 
 def train_bits(script, folder, name):
@@ -294,12 +286,8 @@ register("Simulator", Simulator)
 @pytest.mark.parametrize("failure", [None, RuntimeError("lost"), KeyboardInterrupt()])
 def test_environments_are_closed_however_training_ends(script, failure, monkeypatch, tmp_path):
     monkeypatch.setattr(Simulator, "failure", failure)
-    env_id = script.world("Simulator", "test_faults")
-    if failure:
-        with pytest.raises(type(failure)):
-            script.train(tmp_path, env_id=env_id)
-    else:
-        script.train(tmp_path, env_id=env_id)
+    with pytest.raises(type(failure)) if failure else nullcontext():
+        script.train(tmp_path, env_id=script.world("Simulator", "test_faults"))
     assert not Simulator.running
 
 

@@ -198,7 +198,7 @@ def test_an_option_reaches_its_place(script, option, seen):
     saved = torch.load(f"{seen.path}.pt", weights_only=True)
     assert saved["options"][option] == getattr(seen.args, option)
     odd = getattr(script.args(), option) != getattr(seen.args, option)
-    assert odd or option == "watch" or seen.args.env_id == "LunarLander-v3"
+    assert odd or option == "watch" or getattr(seen.args, option) == "LunarLander-v3"
 
 
 def test_the_log_says_what_happened(script, seen):
@@ -234,6 +234,8 @@ def test_watch_takes_the_options_of_the_file_except_for_those_typed(
     (evaluation,) = calls["evaluate"]
     assert calls["watch"][0].path == Path(f"{seen.path}.pt")
     assert (evaluation.envs.num_envs, evaluation.seed) == ((6, 9) if options else (5, 7))
+    assert {call.seed for call in calls["make_seeds"]} == {evaluation.seed}
+    assert {call.stream for call in calls["make_seeds"]} == {0, 1}  # of the film, too
     assert evaluation.envs.spec.id == seen.args.env_id.removeprefix("test_wiring:")
     assert (result == seen.log["eval_return"].iloc[-1]) == (not options)
     if evaluation.gravity:
