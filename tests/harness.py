@@ -14,6 +14,7 @@ from gymnasium.spaces import Box, Discrete
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTS = Path(__file__).resolve().parent
+SEED = int(os.environ.get("GENERATOR_SEED", 0))  # of everything drawn; a test holds for any
 
 # --- Running a script -----------------------------------------------------------------------------
 
@@ -97,7 +98,7 @@ def train(monkeypatch, module, *options):
     monkeypatch.setattr(module, "evaluate", lambda *_: 0.0)
     logs = []
     monkeypatch.setattr(module, "save", lambda path, log, *_: logs.append(pd.DataFrame(log)))
-    module.train(0, module.parse_args([str(x) for x in options]), Path())
+    module.train(0, module.parse_args(["--seed", str(SEED + 1), *map(str, options)]), Path())
     return logs[-1]
 
 

@@ -2,14 +2,12 @@
 
 import pickle
 import re
-import shutil
-import sys
 
 import numpy as np
 import pytest
 from conftest import SCRIPTS, only
 from gymnasium.spaces import Box, Dict, Discrete, MultiDiscrete
-from harness import World, register, run, run_folder, spy
+from harness import World, register, spy
 
 EVERYWHERE = {"seed": [1], "watch": None, "out_dir": "runs", "num_evals": 20, "hidden_size": 64}
 DEFAULTS = {
@@ -30,34 +28,13 @@ DEFAULTS = {
 
 
 def test_defaults_are_what_the_numbers_were_measured_with(script):
-    assert vars(script.module.parse_args([])) == {**EVERYWHERE, **DEFAULTS[script.name]}
-
-
-@pytest.fixture
-def refusal(monkeypatch, tmp_path, capsys):
-    """What a wrong call says, in this process."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", sys.path[:])
-
-    def refusal(script, *arguments):
-        before = set(tmp_path.rglob("*"))
-        monkeypatch.setattr(sys, "argv", [script.file, *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            script.module.main()
-        out, err = capsys.readouterr()
-        message = err if end.value.code == 2 else f"{end.value.code}\n"  # of argparse, or our own
-        assert end.value.code not in (0, None)
-        assert out == ""
-        assert message.count("\n") == 1
-        assert set(tmp_path.rglob("*")) == before
-        return message
-
-    return refusal
+    assert vars(script.args()) == {**EVERYWHERE, **DEFAULTS[script.name]}
 
 
 M = 3e38
 WRONG = {  # world: its spaces, the word that says what is wrong
-    "DictObs": ({"observations": Dict(position=Box(-1, 1, (2,)))}, "Dict"),
+    "DictObs": ({"observations": Dict(position=Box(-1, 1, (2,)))}, "guide.*Dict"),
+    "Scalar": ({"observations": Box(-1, 1, ())}, r"flat .*Box\(-1.0, 1.0, \(\)"),
     "Image": ({"observations": Box(0, 255, (8, 8, 3))}, r"\(8, 8, 3\)"),
     "Matrix": ({"observations": Box(np.zeros((9, 9)), np.arange(1, 82.0).reshape(9, 9))}, "81"),
     "ManyActions": ({"actions": MultiDiscrete([2, 3])}, "MultiDiscrete"),
@@ -87,65 +64,94 @@ def test_spaces_that_do_not_fit_are_named_and_the_environment_is_closed(
 
 
 @pytest.mark.parametrize(("env_id", "words"), [
-    ("InvertedPendlum-v5", "Did you mean: `InvertedPendulum`"), ("Ant-v99", "v5"),
+    ("InvertedPendlum-v5", "InvertedPendulum"), ("Ant-v99", "v5"),
     ("no_such_module:Some-v0", "no_such_module"), ("harness:NoSuchWorld-v0", "NoSuchWorld")])
 def test_an_unknown_environment_is_named(script, env_id, words, refusal):
     assert words in refusal(script, "--env-id", env_id)
 
 
-def test_an_error_in_the_user_s_constructor_is_the_user_s(script, monkeypatch):
+def test_a_constructor_that_lacks_an_argument_is_named_and_its_own_error_is_the_user_s(
+        script, refusal, call, monkeypatch):
+    env_id = script.world("ThreeSteps")
+    monkeypatch.setattr(World, "__init__", lambda self, track, **_: None)
+    error = refusal(script, "--env-id", env_id)
+    assert "track" in error
+    assert env_id in error
     monkeypatch.setattr(World, "__init__", lambda *_, **__: 1 / 0)
-    monkeypatch.setattr(sys, "argv", [script.file, "--env-id", script.world("ThreeSteps")])
     with pytest.raises(ZeroDivisionError):
-        script.module.main()
+        call(script, "--env-id", env_id)
 
 
 def test_numbers_out_of_range_and_no_numbers_are_named(script, refusal):
     """In every option that takes one; 1e6 is a whole number."""
-    for name, default in vars(script.module.parse_args([])).items():
+    for name, default in vars(script.args()).items():
         default = default[0] if name == "seed" else default
         if type(default) in (int, float):
             flag = "--" + name.replace("_", "-")
             values = ["nan", "inf", "-11", "1e13", "1,5", ""]
             if type(default) is int:
                 values += ["1.5"] if name == "seed" else ["1.5", "0"]
+            if name in ("gamma", "gae_lambda"):
+                values += ["1.001"]
             for value in values:
                 assert f"argument {flag}: " in refusal(script, f"{flag}={value}")
-    assert "number" in refusal(script, "--gamma", "abc")
-    args = script.module.parse_args(["--total-steps", "1e6", "--seed", "1e3", "0"])
-    assert repr((args.total_steps, args.seed)) == "(1000000, [1000, 0])"
+    args = script.args("--total-steps", "1e6", "--seed", "1e3", "0", "--gamma", 1)
+    assert repr((args.total_steps, args.seed, args.gamma)) == "(1000000, [1000, 0], 1.0)"
 
 
 def test_a_seed_given_twice_and_an_unknown_option_are_named(script, refusal):
     assert "--seed" in refusal(script, "--seed", 1, 2, 1)
-    assert "--no-such-option" in refusal(script, "--no-such-option", 1)
+    for option in "--no-such-option", "--lr":
+        error = refusal(script, option, 1)
+        assert option in error
+        assert error.endswith("(see --help)")
 
 
 @only("a2c_vector")
 def test_options_that_cannot_work_are_named(script, refusal):
     """CartPole has a gravity, too, but another one."""
-    assert "--randomize: " in refusal(script, "--env-id", "CartPole-v1", "--randomize")
+    assert "--randomize" in refusal(script, "--env-id", "CartPole-v1", "--randomize")
     assert "async" in refusal(script, "--vectorization", "async", "--seed", 1, 2)
 
 
-def test_what_is_no_agent_of_this_script_is_refused(script, runs, folder, refusal, tmp_path):
-    """A missing file, a folder, damage, another script."""
-    whole = (folder / "seed-3.pt").read_bytes()
-    agent = tmp_path / "agent.pt"
-    for path in "no/such/file", ".":
-        assert "--watch" in refusal(script, "--watch", path)
+def test_a_place_where_no_folder_can_be_made_is_named(script, refusal, tmp_path):
+    (tmp_path / "file").touch()
+    assert "'file/" in refusal(script, "--env-id", script.env_id, "--out-dir", "file")
+
+
+def test_what_is_no_agent_is_refused(script, refusal, tmp_path):
+    """A missing file, a folder, a log, damage, an agent of another script, of another world."""
+    module, agent = script.module, script.agent(script.env_id)
+    module.save(tmp_path / "seed-3", [{"env_step": 1}], agent, vars(script.args()))
+    whole = (tmp_path / "seed-3.pt").read_bytes()
+    for path in "no/such/file", ".", "seed-3.csv":
+        assert f"--watch {path}: " in refusal(script, "--watch", path)
     for content in whole[: len(whole) // 2], b"", b"text", pickle.dumps([1, 2], 2):
-        agent.write_bytes(content)
-        assert f"--watch {agent}: " in refusal(script, "--watch", agent)
-    for name in set(SCRIPTS) - {script.name}:
-        shutil.copy(run_folder(runs[name][0]) / "seed-3.pt", agent)
-        refusal(script, "--watch", agent)
+        (tmp_path / "agent.pt").write_bytes(content)
+        assert "--watch agent.pt: " in refusal(script, "--watch", "agent.pt")
+    error = refusal(script, "--watch", "seed-3.pt", "--env-id", script.world("ThreeSteps"))
+    assert error.startswith("--watch seed-3.pt: ")
 
 
-def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, tmp_path):
-    text = run(script.file, "--help", cwd=tmp_path).out
+@pytest.mark.parametrize("other", SCRIPTS)
+def test_an_agent_of_another_script_is_sent_there(script, other, refusal, tmp_path):
+    other = SCRIPTS[other]
+    if other is not script:
+        agent = other.agent(other.env_id)
+        other.module.save(tmp_path / "agent", [{"env_step": 1}], agent, vars(other.args()))
+        error = refusal(script, "--watch", "agent.pt")
+        assert "--watch agent.pt" in error
+        assert other.file in error
+
+
+def test_help_shows_every_option_in_ascii_and_says_what_it_does(script, call, capsys):
+    with pytest.raises(SystemExit) as end:
+        call(script, "--help")
+    assert end.value.code == 0
+    text = capsys.readouterr().out
     assert text.isascii()
     flat = " ".join(text.split())
-    for name in vars(script.module.parse_args([])):
-        words = re.search(rf"--{name.replace('_', '-')} (.*?)(?= --|$)", flat).group(1)
+    for name in vars(script.args()):
+        flag = name.replace("_", "-")
+        words = re.search(rf"--{flag}(?:, --no-\w+)? (.*?)(?= --|$)", flat).group(1)
         assert re.search(r"[a-z]{3}", words.split("(default")[0]), name

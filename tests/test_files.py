@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
-from conftest import SCRIPTS, only
+from conftest import SCRIPTS
 from harness import ACTIONS, ROOT, STRICT, load, read_log, run, run_folder, spy
 from matplotlib.figure import Figure
 from PIL import Image
@@ -22,7 +22,7 @@ from PIL import Image
 import ppo_continuous as ppo
 
 METRICS = {
-    "reinforce_mujoco": {"value_loss", "policy_std"},
+    "reinforce_mujoco": {"value_loss", "explained_variance", "policy_std"},
     "a2c_vector": {"value_loss", "explained_variance", "entropy"},
     "ppo_continuous": {"value_loss", "explained_variance", "kl", "clip_fraction"},
 }
@@ -35,31 +35,20 @@ def test_a_run_leaves_one_new_folder_and_nothing_else(script, runs, folder):
     assert {path.name for path in folder.iterdir()} == {"learning_curve.png", *files}
 
 
-def test_the_log_has_a_row_for_each_update_and_evaluations_from_first_to_last(script, folder):
-    log = pd.read_csv(folder / "seed-3.csv")
+def test_the_log_has_these_columns_and_all_diagnostics_are_numbers(script, folder):
+    log = pd.read_csv(folder / f"seed-{script.seeds[0]}.csv")
     assert set(log) == {"env_step", "seconds", "return", "eval_return", *METRICS[script.name]}
     assert log.columns[0] == "env_step"
-    assert log["env_step"].is_monotonic_increasing
-    assert log["seconds"].is_monotonic_increasing
-    assert 0 < log["seconds"].iloc[0] < log["seconds"].iloc[-1] < 100
     assert np.isfinite(log.drop(columns=["return", "eval_return"])).all(axis=None)
-    assert np.isfinite(log["eval_return"].iloc[[0, -1]]).all()
-    assert log["env_step"].iloc[-1] >= 512 > log["env_step"].iloc[-2]
 
 
-@only("a2c_vector", "ppo_continuous")
-def test_evaluations_are_spread_evenly(script, tmp_path):
-    """The first after the first update, the last after the last, in all one more than asked for."""
-    options = "--num-envs 2 --rollout-steps 5 --eval-episodes 1 --total-steps 1000 --num-evals 4"
-    log = read_log(f"{script.train(tmp_path, *options.split())}.csv").dropna(subset="eval_return")
-    assert log["env_step"].tolist() == [10, 250, 500, 750, 1000]
-
-
-def test_the_agent_is_saved_with_all_options(script, folder):
-    saved = load(folder / "seed-3.pt")
-    options = vars(script.module.parse_args([]))
-    assert saved.keys() == {*options, "agent"}
-    assert (saved["env_id"], saved["seed"]) == (script.env_id, list(script.seeds))
+def test_the_agent_s_file_has_all_options_its_own_seed_and_its_script(script, folder):
+    for seed in script.seeds:
+        saved = load(folder / f"seed-{seed}.pt")
+        assert saved.keys() == {"agent", "options", "script"}
+        assert saved["script"] == script.file
+        given = {"env_id": script.env_id, "seed": [seed]}
+        assert saved["options"] == vars(script.args(*script.small)) | given
 
 
 def test_a_run_prints_a_line_for_each_seed_and_no_warning(script, runs, folder):
@@ -92,16 +81,10 @@ def test_one_that_crashes_while_it_saves_keeps_what_was_saved_before(script, tmp
 
 
 def test_seeds_in_parallel_equal_seeds_alone(script, folder, tmp_path):
-    alone = script.train(tmp_path)
+    alone = script.train(tmp_path, seed=script.seeds[0])
     third, other = (read_log(folder / f"seed-{seed}.csv") for seed in script.seeds)
     pd.testing.assert_frame_equal(third, read_log(f"{alone}.csv"), check_exact=True)
     assert not third.equals(other)
-
-
-def test_evaluations_do_not_touch_training(script, folder, tmp_path):
-    once = script.train(tmp_path, "--num-evals", 1, "--eval-episodes", 5)
-    weights = [load(x)["agent"] for x in (f"{once}.pt", folder / "seed-3.pt")]
-    torch.testing.assert_close(*weights, rtol=0, atol=0)
 
 
 BUG = """
@@ -116,6 +99,7 @@ gym.register("Buggy-v0", Buggy)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [[2], [1, 2]])
 def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
     """It strikes after the first evaluation; the module lies where the user stands."""
@@ -128,6 +112,13 @@ def test_a_bug_in_the_user_s_environment_keeps_its_traceback(seeds, tmp_path):
     assert (run_folder(tmp_path) / "learning_curve.png").exists()
 
 
+def test_a_run_that_fails_at_once_leaves_no_folder(script, call, monkeypatch, tmp_path):
+    monkeypatch.setattr(harness.World, "reward", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        call(script, "--env-id", script.world("ThreeSteps"))
+    assert not list(tmp_path.glob("runs/*"))
+
+
 BEST_ACTION = {
     "reinforce_mujoco": lambda agent, obs: (
         agent.actor(obs)[:2].numpy().clip(ACTIONS.low, ACTIONS.high)),
@@ -138,9 +129,9 @@ BEST_ACTION = {
 
 @torch.no_grad()
 def evaluate_by_hand(script, agent, env_id, seed):
-    """Six episodes, one after the other, in one environment."""
+    """Nine episodes, one after the other, in one environment."""
     env, episodes = gym.make(env_id), []
-    for episode_seed in script.module.make_seeds(seed, stream=1, count=6):
+    for episode_seed in script.module.make_seeds(seed, stream=1, count=9):
         obs, _ = env.reset(seed=episode_seed)
         done, rewards = False, []
         while not done:
@@ -149,7 +140,6 @@ def evaluate_by_hand(script, agent, env_id, seed):
             done = terminated or truncated
             rewards.append(reward)
         episodes.append(rewards)
-    assert len({len(rewards) for rewards in episodes}) > 1
     return np.mean([sum(rewards) for rewards in episodes])
 
 
@@ -159,15 +149,15 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
     Some end sooner and run on, also with reward, but only the first episode counts.
     """
     env_id = script.env_id if script.name == "a2c_vector" else script.world("Uneven")
-    envs = script.envs(env_id, 6)
-    agent = script.module.Agent(envs, 64)
+    envs = script.envs(env_id, 9)
+    agent = script.agent(env_id)
     agent.actor[-1].weight.data *= 100
     if script.name != "reinforce_mujoco":
         agent.obs_stats.update(3 * torch.randn(50, *envs.single_observation_space.shape) + 1)
     expected = {seed: evaluate_by_hand(script, agent, env_id, seed) for seed in (7, 8)}
-    assert expected[7] != pytest.approx(expected[8], rel=0.001)
     for seed in 7, 8, 7:  # with ever different noise, in environments that have been used
         assert script.module.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
+        np.random.uniform(), torch.rand(())
 
 
 def draw(monkeypatch, script, folder):
@@ -195,52 +185,45 @@ def test_the_figure_has_a_large_panel_of_returns_above_one_for_each_diagnostic(
     assert legend == [f"seed-{seed}" for seed in script.seeds]  # 3 before 11
 
 
-@only("a2c_vector", "ppo_continuous")
 @pytest.mark.filterwarnings("error")
-def test_targets_that_do_not_vary_do_not_spoil_the_figure(script, folder, monkeypatch, tmp_path):
-    log = pd.read_csv(folder / "seed-3.csv")
-    log["explained_variance"] = [0.5, -1e14, -np.inf, np.nan]
+def test_a_metric_of_one_s_own_is_drawn_and_targets_that_do_not_vary_spoil_nothing(
+        script, folder, monkeypatch, tmp_path):
+    log = pd.read_csv(folder / f"seed-{script.seeds[0]}.csv")
+    log["explained_variance"] = np.resize([0.5, -1e14, -np.inf, np.nan], len(log))
     log["return"] = np.nan  # no episode has ended
+    log["mine"] = range(len(log))
     log.to_csv(tmp_path / "seed-3.csv", index=False)
-    assert draw(monkeypatch, script, tmp_path)["explained_variance"].get_ylim() == (-1, 1)
+    drawn = draw(monkeypatch, script, tmp_path)
+    assert drawn["explained_variance"].get_ylim() == (-1, 1)
+    assert drawn["mine"].lines[0].get_ydata().tolist() == log["mine"].tolist()
 
 
 @pytest.mark.skipif(
     sys.platform != "linux" or not ctypes.util.find_library("EGL"), reason="no EGL here")
 @pytest.mark.slow
 def test_a_copy_of_a_script_watches_a_copied_agent(script, folder, tmp_path):
-    """There is no display, and nothing but the GIF is written, nothing but the return printed."""
+    """Of the second seed. No display; the last evaluation again, to the digit, and one GIF."""
+    seed = script.seeds[1]
     shutil.copy(ROOT / script.file, tmp_path / "mine.py")
-    shutil.copy(folder / "seed-3.pt", tmp_path)
-    process = run(tmp_path / "mine.py", "--watch", "seed-3.pt", "--seed", 3, "--eval-episodes", 2,
-                  cwd=tmp_path, python=STRICT)
-    assert re.fullmatch(r"return: \S+\n", process.out)
+    shutil.copy(folder / f"seed-{seed}.pt", tmp_path / "my.pt")
+    process = run(tmp_path / "mine.py", "--watch", "my.pt", cwd=tmp_path, python=STRICT)
+    last = pd.read_csv(folder / f"seed-{seed}.csv")["eval_return"].iloc[-1]
+    assert process.out == f"return: {last}\n"
     assert not re.search("Traceback|Exception|Warning", process.err)  # SDL may miss a folder
-    files = {"mine.py", "seed-3.pt", "seed-3.gif"}
+    files = {"mine.py", "my.pt", "my.gif"}
     assert {path.name for path in tmp_path.iterdir()} - {"__pycache__"} == files
-    with Image.open(tmp_path / "seed-3.gif") as gif:
+    with Image.open(tmp_path / "my.gif") as gif:
         assert gif.n_frames > 1
         assert min(gif.size) >= 400
 
 
-def test_a_saved_agent_acts_as_it_did_also_where_it_cannot_be_drawn(script, tmp_path):
-    """Its actions are the rewards, and the starts those of the last evaluation."""
-    path = script.train(tmp_path, env_id=script.world("Uneven"))
-    options = "--eval-episodes", 2, "--seed", 3
-    process = run(script.file, "--watch", f"{path}.pt", *options, cwd=tmp_path, status=1)
-    last = read_log(f"{path}.csv")["eval_return"].iloc[-1]
-    assert float(process.out.removeprefix("return:")) == pytest.approx(last)
-    assert "Traceback" not in process.err
-    assert not list(tmp_path.rglob("*.gif"))
-
-
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no such shell")
-@pytest.mark.parametrize("closed", ["2>&-", "| true"])
-def test_a_closed_terminal_costs_no_file(closed, tmp_path):
-    """Standard error or output that nobody reads; also a ~ that the shell leaves as it is."""
+def test_a_closed_terminal_costs_no_file(tmp_path):
+    """Output that nobody reads; also a ~ that the shell leaves as it is."""
     script = SCRIPTS["ppo_continuous"]
     options = " ".join([*script.small, "--env-id", script.world("ThreeSteps"), "--out-dir=~/deep"])
-    command = f"{sys.executable} {ROOT / script.file} {options} {closed}"
+    command = f"{sys.executable} -u {ROOT / script.file} {options} | true"
     env = {**os.environ, "HOME": str(tmp_path), "PYTHONPATH": str(harness.TESTS)}
     subprocess.run(["sh", "-c", command], cwd=tmp_path, env=env, capture_output=True, timeout=100)
     (folder,) = (tmp_path / "deep").iterdir()

@@ -6,33 +6,67 @@ import re
 from conftest import SCRIPTS
 from harness import ROOT
 
-VERSIONS = {  # of what differs on purpose, because this is the algorithm, or its options
-    "Agent": 3, "main": 3, "optimise": 3, "parse_args": 3, "plot": 3, "policy_loss": 3, "train": 3,
-    "watch": 3, "Transitions": 2, "make_envs": 2, "mlp": 2}
+TEXTS = {name: (ROOT / x.file).read_text(encoding="utf-8") for name, x in SCRIPTS.items()}
+SHARED = {  # name: the files that have it (R, A, P), those with the same text in one word
+    **dict.fromkeys(["check_finite", "evaluate", "in_range", "main", "make_seeds", "plot", "save",
+                     "seed_generators", "watch"], "RAP"),
+    **dict.fromkeys(["RunningStatistics", "compute_gae", "rollout"], "AP"),
+    **dict.fromkeys(["Agent", "make_envs", "optimise", "parse_args", "policy_loss", "train"],
+                    "A P R"),  # the algorithm, and its options
+    "Tidy": "AP R", "Transitions": "A P", "mlp": "A RP"}
 
 
-def test_functions_of_the_same_name_have_the_same_text():
+def functions(text):
+    return {node.name: ast.get_source_segment(text, node) for node in ast.parse(text).body
+            if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+
+
+def test_functions_of_the_same_name_have_the_same_text_in_these_files():
     found = {}
-    for script in SCRIPTS.values():
-        text = (ROOT / script.file).read_text(encoding="utf-8")
-        for node in ast.parse(text).body:
-            if isinstance(node, ast.FunctionDef | ast.ClassDef):
-                found.setdefault(node.name, set()).add(ast.get_source_segment(text, node))
-    assert {name: len(texts) for name, texts in found.items() if len(texts) > 1} == VERSIONS
+    for file, text in TEXTS.items():
+        for name, source in functions(text).items():
+            found.setdefault(name, {}).setdefault(source, []).append(file[0].upper())
+    found = {name: " ".join(sorted("".join(files) for files in groups.values()))
+             for name, groups in found.items()}
+    assert {name: groups for name, groups in found.items() if len(groups) > 1} == SHARED
 
 
-def test_requirements_txt_is_what_the_scripts_ask_for_and_pytest():
+def part(file, first, last=None, without=()):
+    """The lines of `train` from one that begins with `first` up to one with `last`."""
+    lines = [line.strip() for line in functions(TEXTS[file])["train"].splitlines()]
+    (start,) = (i for i, line in enumerate(lines) if line.startswith(first))
+    (end,) = (i for i, line in enumerate(lines) if line.startswith(last)) if last else [None]
+    return [line for line in lines[start:end] if not line.startswith(tuple(without))]
+
+
+def test_what_trainings_have_in_common_has_one_text():
+    """Their beginning; in A2C and PPO all but annealing, the reward scale and the update."""
+    def same(*places, files=("a2c_vector", "ppo_continuous"), **options):
+        first, *others = (part(file, *places, **options) for file in files)
+        assert len(first) > 1
+        assert all(first == other for other in others)
+
+    same("def train(", "with (", files=SCRIPTS)
+    same("weights =", files=SCRIPTS, without=("env_step +=", '"return"'))
+    same("# 2.", "# 3.")
+    same("def train(", "optimizer =")
+    same("log, env_step", "# 1.")
+    same("# 6.")
+    same("advantages = ", "# 5.")
+
+
+def test_requirements_txt_is_what_the_scripts_ask_for_and_what_tests_and_experiments_need():
     listed = (ROOT / "requirements.txt").read_text().splitlines()
     listed = {line for line in listed if line and not line.startswith("#")}
     asked = set()
-    for script in SCRIPTS.values():
-        text = (ROOT / script.file).read_text(encoding="utf-8")
+    for name, text in TEXTS.items():
         block = re.match(r"(?s)# /// script\n(.*?)\n# ///\n", text).group(1)
         assert '# requires-python = ">=3.10,<3.14"\n' in block
         packages = re.findall(r'"([^"]+)"[,\]]', block)
-        extra = "box2d" if script.name == "a2c_vector" else "mujoco"
+        extra = "box2d" if name == "a2c_vector" else "mujoco"
         assert any(x.startswith("mujoco") for x in packages) == (extra == "mujoco")
         asked |= {x.replace(f"[{extra}]", "[mujoco,box2d]") for x in packages}
-    (pytest_line,) = listed - asked
-    assert pytest_line.startswith("pytest>=")
     assert asked < listed
+    others = {re.match(r"[\w-]+", line).group() for line in listed - asked}
+    assert "pytest" in others
+    assert others <= {"pytest", "scipy", "tabulate"}

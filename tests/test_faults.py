@@ -1,0 +1,385 @@
+"""Environments as people have them: odd numbers, odd generators, no limit, no end; their films."""
+
+import random
+from contextlib import nullcontext
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from conftest import only
+from gymnasium.spaces import Box, Discrete
+from harness import (
+    ACTIONS,
+    SEED,
+    Uneven,
+    World,
+    load,
+    read_log,
+    register,
+    run,
+    run_folder,
+    spy,
+    train,
+)
+from PIL import Image
+
+# --- What it shows, pays and says -----------------------------------------------------------------
+
+
+class Bits(World):
+    """Shows two bits, which every dtype can, and pays what float16 can, but cannot add up."""
+
+    look, pay = np.float32, float
+
+    def __init__(self, dtype=np.float32, **kwargs):
+        super().__init__(observations=Box(0, 1, (2,), dtype), **kwargs)
+
+    def observe(self):
+        return self.look([self.steps % 2, self.episode > 0])
+
+    def reward(self, action):
+        return self.pay(1000.5 - self.steps)
+
+
+def read_only(numbers):
+    array = np.array(numbers, np.float32)
+    array.flags.writeable = False
+    return array
+
+
+class SameArray(Bits):
+    """Returns one and the same array at every step, with new numbers in it."""
+
+    def observe(self):
+        self.shown = vars(self).get("shown", np.zeros(2, np.float32))
+        self.shown[:] = super().observe()
+        return self.shown
+
+
+class Demanding(Bits):
+    """Wants options None and a seed for an int32; says something else in `info` at every step."""
+
+    def reset(self, *, seed=None, options=None):
+        assert options is None
+        np.int32(seed or 0)
+        return super().reset(seed=seed)[0], self.info()
+
+    def info(self):
+        noise = [None, "fell", 3, np.zeros(self.steps), {"x": [1] * self.total}, object()]
+        keys = "goal", "episode", "return", "_return", "final_obs"
+        return {key: noise[(self.total + i) % 6] for i, key in enumerate(keys)}
+
+
+def kind(**attributes):
+    return type("Kind", (Bits,), {name: staticmethod(x) for name, x in attributes.items()})
+
+
+DTYPES = "bool", "uint8", "uint16", "uint32", "int64", "float16", "float64", "longdouble"
+KINDS = {
+    **{dtype: kind(look=lambda bits, dtype=dtype: np.array(bits, dtype)) for dtype in DTYPES},
+    "big-endian": kind(look=lambda bits: np.array(bits, ">f4")),
+    "backwards": kind(look=lambda bits: np.float32(bits[::-1])[::-1]),
+    "strided": kind(look=lambda bits: np.float32(bits).repeat(3)[::3]),
+    "read-only": kind(look=read_only),
+    "same array": SameArray,
+    "demanding": Demanding,
+    "reward (1,)": kind(pay=lambda x: np.array([x])),
+    "reward ()": kind(pay=np.array),
+    "reward float16": kind(pay=np.float16),
+    "reward longdouble": kind(pay=np.longdouble)}
+register("Bits", Bits)
+for i, (name, world) in enumerate(KINDS.items()):
+    register(f"Kind{i}", world, dtype=name if name in DTYPES else "float32")
+
+
+def train_bits(script, folder, name):
+    path = script.train(
+        folder, "--total-steps", 256, "--num-evals", 1, env_id=script.world(name, "test_faults"))
+    return load(f"{path}.pt")["agent"], read_log(f"{path}.csv")
+
+
+@pytest.fixture(scope="session")
+def tidy(script, tmp_path_factory):
+    """What one learns from the same world in float32 and float."""
+    return train_bits(script, tmp_path_factory.mktemp("tidy"), "Bits")
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # Gymnasium's, of what it sees
+@pytest.mark.parametrize("name", KINDS)
+def test_the_same_numbers_train_the_same_agent_however_they_are_handed_over(
+        script, name, tidy, tmp_path):
+    agent, log = train_bits(script, tmp_path, f"Kind{list(KINDS).index(name)}")
+    torch.testing.assert_close(agent, tidy[0], rtol=0, atol=0)
+    pd.testing.assert_frame_equal(log, tidy[1], check_exact=True)
+    assert (log[["return", "eval_return"]].stack().dropna() == 999.5 + 998.5 + 997.5).all()
+
+
+@only("reinforce_mujoco", "ppo_continuous")
+@pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
+def test_actions_come_in_the_dtype_of_their_space_and_within_its_bounds(script, dtype, monkeypatch):
+    """The world checks that."""
+    space = Box(ACTIONS.low.astype(dtype), ACTIONS.high.astype(dtype), dtype=dtype)
+    gym.register("Actions-v0", World, kwargs={"actions": space})
+    types = spy(monkeypatch, World, "step", lambda _, action: action.dtype)
+    train(monkeypatch, script.module, "--env-id", "Actions-v0", "--total-steps", 20)
+    del gym.registry["Actions-v0"]
+    assert set(types) == {np.dtype(dtype)}
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered in cast:RuntimeWarning",
+                            "ignore:invalid value:RuntimeWarning", "ignore::UserWarning")
+@pytest.mark.parametrize(("method", "place", "value"), [
+    ("observe", (0, 0), np.nan), ("observe", (2, 2), np.nan), ("observe", (3, 3), np.nan),
+    ("observe", (3, 0), np.nan), ("observe", (2, 2), -np.inf), ("reward", (2, 2), np.nan),
+    ("reward", (2, 2), -np.inf)])
+def test_what_is_not_finite_ends_a_training_and_is_named(script, method, place, value, monkeypatch):
+    """Also in the last observation of an episode, the first of the next, the first of all."""
+    usual = getattr(World, method)
+
+    def broken(self, *action):  # at a place: (steps in all, steps in the episode)
+        return usual(self, *action) + (value if (self.total, self.steps) == place else 0)
+
+    monkeypatch.setattr(World, method, broken)
+    name = {"observe": "an observation", "reward": "a reward"}[method]
+    with pytest.raises(ValueError, match=f"{name} of .*ThreeSteps-v0 is NaN or infinite"):
+        train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"),
+              "--total-steps", 30)
+
+
+def test_a_weight_that_is_not_finite_ends_a_training_and_the_learning_rate_is_named(
+        script, monkeypatch):
+    optimise = script.module.optimise
+
+    def explode(agent, *rest, **options):
+        metrics = optimise(agent, *rest, **options)
+        agent.critic[2].weight.data[0, 0] = np.inf
+        return metrics
+
+    monkeypatch.setattr(script.module, "optimise", explode)
+    with pytest.raises(ValueError, match="weight .*--learning-rate"):
+        train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"))
+
+
+# --- Where it draws from --------------------------------------------------------------------------
+
+SHARED = {Box: Box(-9, 9, (2,)), "Box": ACTIONS, "Discrete": Discrete(3)}
+
+
+class Drawing(World):
+    """Draws from generators other than its own; its spaces are those of all its kind."""
+
+    def __init__(self, actions):
+        super().__init__(
+            observations=SHARED[Box], actions=SHARED[type(actions).__name__])
+
+    def observe(self):
+        drawn = [np.random.uniform(), random.uniform(0, 1), torch.rand(()).item(),
+                 self.observation_space.sample()[0] / 9, np.sum(self.action_space.sample())]
+        return super().observe() + np.float32([sum(drawn), 0])
+
+    def reward(self, action):
+        return float(np.sum(action) + np.random.uniform())
+
+
+class Seeding(Drawing):
+    """Seeds the generators of the process, as ports of old environments do."""
+
+    def reset(self, *, seed=None, options=None):
+        for set_seed in (np.random.seed, random.seed, torch.manual_seed):
+            if seed is not None:
+                set_seed(seed)
+        return super().reset(seed=seed)
+
+
+register("Drawing", Drawing)
+register("Seeding", Seeding)
+
+
+@pytest.mark.parametrize("name", ["Drawing", "Seeding"])
+def test_a_seed_repeats_all_and_an_evaluation_touches_nothing(
+        script, name, watch, tmp_path, monkeypatch):
+    def start(folder, seed):
+        path = script.train(tmp_path / folder, env_id=script.world(name, "test_faults"), seed=seed)
+        return path, read_log(f"{path}.csv")
+
+    (path, first), (_, again), (_, other) = (
+        start(*x) for x in (("first", SEED), ("again", SEED), ("other", SEED + 1)))
+    pd.testing.assert_frame_equal(first, again, check_exact=True)
+    assert not first.equals(other)
+    assert first["eval_return"].count() >= 3
+    for options in (), ("--eval-episodes", 2, "--seed", SEED):
+        assert watch(script, path, *options)[0] == first["eval_return"].iloc[-1]
+    monkeypatch.setattr(script.module, "evaluate", lambda *_: 0.0)
+    _, undisturbed = start("undisturbed", SEED)
+    first, undisturbed = (x.drop(columns="eval_return") for x in (first, undisturbed))
+    pd.testing.assert_frame_equal(first, undisturbed, check_exact=True)
+
+
+# --- When it ends ---------------------------------------------------------------------------------
+
+register("Long", length=1200)
+register("LongLimit", limit=1100, length=None)
+
+
+@pytest.mark.parametrize("name", ["Long", "LongLimit"])
+def test_only_an_episode_without_registered_limit_is_cut_and_a_line_says_so(
+        script, name, call):
+    """By an evaluation and by REINFORCE, which needs whole episodes, after 1,000 steps."""
+    options = ["--total-steps", "1300", "--num-evals", "1", "--eval-episodes", "1"]
+    if script.name == "reinforce_mujoco":
+        options += ["--batch-episodes", "1"]
+    else:
+        options += ["--num-envs", "1", "--rollout-steps", "1300"]
+    out = call(script, "--env-id", script.world(name, "test_faults"), *options)
+    log = read_log(run_folder(".") / "seed-1.csv")
+    cut = 1000 if script.name == "reinforce_mujoco" else 1200
+    assert log["return"].iloc[0] == {"Long": cut, "LongLimit": 1100}[name]
+    assert log["eval_return"].iloc[0] == {"Long": 1000, "LongLimit": 1100}[name]
+    told = [line for line in out.splitlines() if "1,000 steps" in line]
+    assert len(told) == (name == "Long")
+    assert all("Long-v0" in line and "max_episode_steps" in line for line in told)
+
+
+class Jackpot(Uneven):
+    """Pays without end in all but the first episode after a seed."""
+
+    def reset(self, *, seed=None, options=None):
+        self.first = seed is not None
+        return super().reset(seed=seed)
+
+    def reward(self, action):
+        return 1.0 if self.first else np.inf
+
+
+register("Jackpot", Jackpot)
+
+
+@only("a2c_vector", "ppo_continuous")
+def test_what_comes_after_an_episode_spoils_no_evaluation(script):
+    env_id = script.world("Jackpot", "test_faults")
+    assert 3 <= script.module.evaluate(script.agent(env_id), script.envs(env_id, 9), SEED) <= 7
+
+
+class Simulator(World):
+    """Runs from its construction until it is closed; may fail in training."""
+
+    running, failure = set(), None
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.running.add(id(self))
+
+    def reward(self, action):
+        if self.total > 50 and self.failure:
+            raise self.failure
+        return 1.0
+
+    def close(self):
+        self.running.discard(id(self))
+
+
+register("Simulator", Simulator)
+
+
+@pytest.mark.parametrize("failure", [None, RuntimeError("lost"), KeyboardInterrupt()])
+def test_environments_are_closed_however_training_ends(script, failure, monkeypatch, tmp_path):
+    monkeypatch.setattr(Simulator, "failure", failure)
+    with pytest.raises(type(failure)) if failure else nullcontext():
+        script.train(tmp_path, env_id=script.world("Simulator", "test_faults"))
+    assert not Simulator.running
+
+
+class LostError(Exception):
+    """Cannot be sent to another process as it is."""
+
+    def __init__(self, code, text):
+        super().__init__(f"{text} (code {code})")
+
+
+class Fragile(World):
+    def reward(self, action):
+        if self.total == 40:
+            raise LostError(17, "lost contact")
+        return 1.0
+
+
+register("Fragile", Fragile)
+
+
+@pytest.mark.slow
+def test_the_cause_is_seen_when_an_environment_fails_in_its_process(tmp_path):
+    process = run(
+        "a2c_vector.py", "--env-id", "test_faults:DiscreteFragile-v0", "--vectorization", "async",
+        "--num-envs", 2, "--rollout-steps", 9, "--eval-episodes", 1, cwd=tmp_path, status=1)
+    assert "lost contact (code 17)" in process.err
+
+
+# --- How it is filmed -----------------------------------------------------------------------------
+
+
+class Bar(World):
+    """Draws how many steps it has taken into one picture, which it keeps."""
+
+    shape = (61, 400, 3)
+
+    def __init__(self, render_mode=None, **kwargs):
+        super().__init__(**kwargs)
+        self.render_mode, self.picture = render_mode, np.zeros(self.shape, np.uint8)
+
+    def render(self):
+        self.picture[:] = 255
+        self.picture[:, : self.steps % 400] = 0
+        return self.picture
+
+
+def film(name, length, shape=Bar.shape, **metadata):
+    """An environment of Bar's kind."""
+    metadata = {"render_modes": ["rgb_array"], **metadata}
+    register(name, type(name, (Bar,), {"shape": shape, "metadata": metadata}), length=length)
+
+
+film("Usual", 60, render_fps=20)
+film("Fast", 100, render_fps=50)
+film("Faster", 120, render_fps=125)
+film("Calm", 12, render_fps=4)
+film("Lasting", 999, render_fps=20)
+film("Silent", 30)
+film("Gray", 60, (64, 401), render_fps=20)
+film("Clear", 60, (63, 401, 4), render_fps=20)
+gym.register("Old-v0", type("Old", (World,), {"metadata": {"render.modes": ["human"]}}))
+
+
+@pytest.mark.parametrize(("name", "length", "fps", "every"), [
+    ("Usual", 60, 20, 1), ("Fast", 100, 50, 2), ("Faster", 120, 125, None), ("Calm", 12, 4, 1),
+    ("Lasting", 300, 20, 1), ("Silent", 30, 20, 1), ("Gray", 60, 20, 1), ("Clear", 60, 20, 1)])
+@only("a2c_vector")
+def test_a_film_shows_an_episode_as_it_was_at_its_own_speed(
+        script, name, length, fps, every, watch, tmp_path):
+    """From the first state on; a GIF counts time in hundredths of a second."""
+    path = script.train(tmp_path, "--total-steps", 9, "--eval-episodes", 1,
+                        env_id=script.world(name, "test_faults"))
+    assert watch(script, path)[1] is None
+    with Image.open(f"{path}.gif") as gif:
+        shown = []
+        for i in range(gif.n_frames):
+            gif.seek(i)
+            shown.append(int((np.asarray(gif.convert("L"))[30] < 128).sum()))
+            true = 1000 * (every or shown[-1] / max(i, 1) or 1) / fps
+            assert abs(gif.info["duration"] - true) <= 5 or (every is None and i == 0)
+        assert "loop" in gif.info
+    every = every or shown[1]
+    assert shown == list(range(0, length, every))
+
+
+@pytest.mark.parametrize("name", ["harness:Uneven", "test_faults:Old", "test_faults:Usual"])
+@only("ppo_continuous")
+def test_what_cannot_be_filmed_is_named_after_the_return(script, name, watch, tmp_path):
+    """It draws nothing, knows no such keyword, or there is a folder where the film should be."""
+    path = script.train(tmp_path, env_id=f"{name}-v0")
+    path.with_suffix(".gif").mkdir()
+    result, end = watch(script, path)
+    assert result == read_log(f"{path}.csv")["eval_return"].iloc[-1]
+    assert "\n" not in end
+    assert (f"{path}.gif" if "Usual" in name else name) in end
