@@ -57,6 +57,7 @@ import signal
 import sys
 import time
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -257,8 +258,6 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     wrappers = [Tidy, RandomPhysics] if args.randomize else [Tidy]  # the last is the outermost
     if args.randomize and "LunarLander" not in args.env_id:
         raise gym.error.Error("--randomize knows the physics of LunarLander only")
-    if args.vectorization == "async" and len(args.seed) > 1:
-        raise gym.error.Error("--vectorization async takes one --seed: processes of processes")
     envs = gym.make_vec(args.env_id, count, vectorization, wrappers=wrappers,
                         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -267,6 +266,7 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         envs.close()
         raise gym.error.Error("needs a flat Box of observations and Discrete actions, from 0 on "
                               f"(see docs/guide.md); has {obs_space} and {space}")
+    envs.close = partial(envs.close, timeout=1)  # after Ctrl-C a process may not answer
     return gym.wrappers.vector.TransformObservation(
         envs, lambda obs: check_finite(f"an observation of {args.env_id}", obs.astype(float)))
 
@@ -514,7 +514,7 @@ def watch(path):
                 if terminated | truncated:
                     break
     except Exception as error:
-        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
+        sys.exit(f"no film of {args.env_id} in {path.with_suffix('.gif')}: {error!r}")
 
 
 def plot(folder):
@@ -559,8 +559,11 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     finally:  # after Ctrl-C, too
+        for process in torch.multiprocessing.active_children():
+            process.join(1)  # it may have had Ctrl-C, too
+            process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
@@ -570,6 +573,7 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback
-        print("interrupted")
-        sys.exit(130)  # as a shell says it
+    except KeyboardInterrupt:  # no traceback, but the same signal, which also ends a shell's loop
+        print("interrupted", flush=True)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)

@@ -503,7 +503,7 @@ def watch(path):
                 if terminated | truncated:
                     break
     except Exception as error:
-        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
+        sys.exit(f"no film of {args.env_id} in {path.with_suffix('.gif')}: {error!r}")
 
 
 def plot(folder):
@@ -548,8 +548,11 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     finally:  # after Ctrl-C, too
+        for process in torch.multiprocessing.active_children():
+            process.join(1)  # it may have had Ctrl-C, too
+            process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
@@ -559,6 +562,7 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback
-        print("interrupted")
-        sys.exit(130)  # as a shell says it
+    except KeyboardInterrupt:  # no traceback, but the same signal, which also ends a shell's loop
+        print("interrupted", flush=True)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)

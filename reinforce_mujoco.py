@@ -299,7 +299,8 @@ def make_repeatable(seed):
 def make_envs(args, count, **kwargs):
     """A vector of `count` environments, which reset themselves after the end of an episode."""
     envs = gym.make_vec(args.env_id, count, "sync", wrappers=[
-        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
+        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000),
+        lambda x: gym.wrappers.DtypeObservation(x, np.float64), Tidy], **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
@@ -329,7 +330,7 @@ class Tidy(gym.Wrapper):
         return self.look(obs), reward, terminated, truncated, {}
 
     def look(self, obs):
-        return check_finite(f"an observation of {self.spec.id}", np.array(obs, float))
+        return check_finite(f"an observation of {self.spec.id}", np.array(obs))
 
 
 def check_finite(name, x):
@@ -402,7 +403,7 @@ def watch(path):
                 if terminated | truncated:
                     break
     except Exception as error:
-        sys.exit(f"{args.env_id} cannot be filmed: {error!r}")
+        sys.exit(f"no film of {args.env_id} in {path.with_suffix('.gif')}: {error!r}")
 
 
 def plot(folder):
@@ -447,8 +448,11 @@ def main():
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
-            torch.multiprocessing.spawn(train, (args, folder), len(args.seed), daemon=True)
+            torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     finally:  # after Ctrl-C, too
+        for process in torch.multiprocessing.active_children():
+            process.join(1)  # it may have had Ctrl-C, too
+            process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)
         else:
@@ -458,6 +462,7 @@ def main():
 if __name__ == "__main__":
     try:
         main()
-    except KeyboardInterrupt:  # no traceback
-        print("interrupted")
-        sys.exit(130)  # as a shell says it
+    except KeyboardInterrupt:  # no traceback, but the same signal, which also ends a shell's loop
+        print("interrupted", flush=True)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGINT)

@@ -41,9 +41,9 @@ class Script(NamedTuple):
     def args(self, *options):
         return self.module.parse_args([str(x) for x in options])
 
-    def envs(self, env_id, count, *mode):
+    def envs(self, env_id, count, **options):
         """Environments; by default they reset themselves."""
-        return self.module.make_envs(self.args("--env-id", env_id), count, *mode)
+        return self.module.make_envs(self.args("--env-id", env_id), count, **options)
 
     def agent(self, env_id, hidden_size=64):
         envs = self.envs(env_id, 1)

@@ -130,7 +130,7 @@ def physics_in_force(env):
 def draw_physics(vectorization):
     """What two environments draw for two episodes, for the seeds 1, 2 and 1 again."""
     args = SCRIPTS["a2c_vector"].args("--randomize", "--vectorization", vectorization)
-    envs = a2c.make_envs(args, 2, "Disabled")
+    envs = a2c.make_envs(args, 2, vectorization, autoreset_mode="Disabled")
     drawn = []
     for seed in 1, 2, 1:
         for env_seeds in a2c.make_seeds(seed, stream=2, count=2), None:

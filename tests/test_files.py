@@ -222,7 +222,7 @@ def test_a_copy_of_a_script_watches_a_copied_agent(script, folder, tmp_path):
 def test_a_closed_terminal_costs_no_file(tmp_path):
     """Output that nobody reads; also a ~ that the shell leaves as it is."""
     script = SCRIPTS["ppo_continuous"]
-    options = " ".join([*script.small, "--env-id", script.world("ThreeSteps"), "--out-dir=~/deep"])
+    options = " ".join([*script.small, "--env-id", script.world("Forever"), "--out-dir=~/deep"])
     command = f"{sys.executable} -u {ROOT / script.file} {options} | true"
     env = {**os.environ, "HOME": str(tmp_path), "PYTHONPATH": str(harness.TESTS)}
     subprocess.run(["sh", "-c", command], cwd=tmp_path, env=env, capture_output=True, timeout=100)

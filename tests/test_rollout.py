@@ -14,7 +14,7 @@ both = only("a2c_vector", "ppo_continuous")
 
 
 def play(script, name):
-    envs = script.envs(script.world(name), 4, "Disabled")
+    envs = script.envs(script.world(name), 4, autoreset_mode="Disabled")
     obs, _ = envs.reset(seed=script.module.make_seeds(SEED, 2, 4))
     agent = script.agent(script.world(name))
     return envs, *script.module.rollout(envs, agent, obs, 25)

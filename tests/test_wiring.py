@@ -144,7 +144,7 @@ def steps_of(seen):
 
 CHECKS = {
     "seed": lambda x: (
-        {call.seed for name in ("seed_generators", "evaluate", "make_seeds")
+        {call.seed for name in ("make_repeatable", "evaluate", "make_seeds")
          for call in getattr(x, name)} == {7}
         and {call.path.name for call in x.save} == {"seed-7"}
         and {(call.stream, call.count) for call in x.make_seeds} == {
