@@ -30,9 +30,9 @@ environments in step) V stands in for the rewards still to come. One update:
      average. A + V(s) then estimates the reward to go: the target for V.
   5. Take one gradient step to lower, over the whole rollout,
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
-     with A standardised, so that actions above the average become more likely, the others less. The
-     entropy is high while π is undecided; the bonus keeps π from settling on one action before it
-     has tried the others. Then throw the rollout away, because it shows what the old π did.
+     It makes actions with A > 0 more likely, the others less. The entropy is high while π is
+     undecided; the bonus keeps π from settling on one action before it has tried the others. Then
+     throw the rollout away, because it shows what the old π did.
   6. Update the statistics that normalise observations. Start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
@@ -187,8 +187,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
-    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
-    terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
+    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
+    episode terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -220,7 +220,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
-    # Standardised, so that c and the actor's clipping suit rewards of any size.
+    # Mean 0, standard deviation 1, so that c and the actor's clipping suit rewards of any size.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -244,10 +244,11 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     of its own, so at every step a message goes to each and back, and all wait for the slowest:
 
         sync     N·step
-        async    N·step/cores + N·message
+        async    N·step/cores + N·message        at best, with at most N cores
 
-    A message takes some 0.04 ms, so on two cores async pays from 0.08 ms a step on. A step on the
-    moon takes 0.03 ms. Evaluations are rare, so they always take sync.
+    So async pays if step·(1 − 1/cores) > message, which is some 0.04 ms: on two cores from 0.08 ms
+    a step on. A step on the moon takes 0.03 ms. Evaluations always take sync, because their numbers
+    must be the same in a replay, whatever generator an environment draws from.
 
     By default ("NextStep") a vector resets an environment in the step after the end of its episode.
     That step ignores the action and earns nothing: a transition that never happened, from which an
@@ -255,9 +256,11 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
     counts first episodes, so there NextStep does no harm and takes less code.
     """
-    wrappers = [Tidy, RandomPhysics] if args.randomize else [Tidy]  # the last is the outermost
-    if args.randomize and "LunarLander" not in args.env_id:
-        raise gym.error.Error("--randomize knows the physics of LunarLander only")
+    wrappers = [Tidy]
+    if args.randomize:
+        wrappers.append(RandomPhysics)
+        if "LunarLander" not in args.env_id:
+            raise gym.error.Error("--randomize knows the physics of LunarLander only")
     envs = gym.make_vec(args.env_id, count, vectorization, wrappers=wrappers,
                         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -283,10 +286,10 @@ class RandomPhysics(gym.Wrapper):
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
-    Here it does not pay: on random moons the two are within the noise. It may where worlds are far
-    from the simulator.
+    Here it does not pay: on random moons nothing is gained, on the usual one 30 are lost. It may
+    where the real world is farther from the simulator.
 
-    For an environment of your own write such a wrapper, and name both in `make_envs`. Draw from
+    For another environment write such a wrapper, and put it and the id into `make_envs`. Draw from
     ranges as wide as your doubts (Gymnasium allows this moon a gravity above −12, and recommends
     these winds). Set the numbers before the environment's own reset. Nothing checks them, and what
     its `__init__` has derived from others must be computed anew. For CartPole, for instance:
@@ -332,8 +335,8 @@ def train(index, args, folder):
             batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
-            # 4. Estimate advantages and targets, which are constants in 5.
-            with torch.no_grad():  # where an episode ends, s_{t+1} is not the state of the next row
+            # 4. Estimate advantages and targets; in 5 they are constants, so that only V moves.
+            with torch.no_grad():  # s_{t+1}: not in the next row where an episode has ended
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -379,7 +382,7 @@ def parse_args(argv=None, known=None):
     add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
-    add("--vectorization", choices=("sync", "async"), default="sync", help="async takes one seed")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
     add("--randomize", action=argparse.BooleanOptionalAction, default=False, help="random moons")
     add("--rollout-steps", type=in_range(int, 1), default=64, help="steps of each in a rollout")
     add("--reward-scale", type=in_range(float, 0), default=0.1, help="multiplies rewards")
@@ -410,14 +413,14 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
     seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
     return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
-    """One thread, as more round differently; and seeds for all global generators."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more
+    """Seed all global generators, and compute in one thread."""
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
@@ -433,7 +436,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # also where the class has a property
+                vars(self.unwrapped)[name] = space  # no error where the class has a property
         return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
 
     def step(self, action):
@@ -493,23 +496,25 @@ def watch(path):
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         make_repeatable(args.seed[0])  # some environments draw numbers when they are made
-        envs = make_envs(args, args.eval_episodes)
-        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
-        agent.load_state_dict(saved["agent"])
+        with closing(make_envs(args, args.eval_episodes)) as envs:
+            agent = Agent(
+                envs.single_observation_space, envs.single_action_space, args.hidden_size)
+            agent.load_state_dict(saved["agent"])
+            print("return:", evaluate(agent, envs, args.seed[0]))
     except Exception as error:
         sys.exit(f"--watch {path}: cannot be played: {error!r}")
-    print("return:", evaluate(agent, envs, args.seed[0]))
-    envs.close()
     try:
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
-            every = max(1, round(fps / 25))  # steps for a frame
+            every = max(1, round(fps / 25))  # steps for a frame; its end in hundredths of a second:
+            ends = np.rint(np.arange(201) * 100 * every / fps)
+            make_repeatable(args.seed[0])
             obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
             for step in range(200 * every):
                 if step % every == 0:
-                    film.write(
-                        envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
+                    film.write(  # in 8 bits a pixel, as a GIF has them
+                        envs.render()[0], bits=8, duration=list(10 * np.diff(ends)), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
                 if terminated | truncated:
                     break
@@ -553,8 +558,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: episodes in evaluation (of REINFORCE: all) "
-              "end after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
+              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -22,17 +22,19 @@ of an episode. Two neural networks learn:
 
 The advantage A of an action is what followed it minus V(s): how much better it turned out than what
 π does on average. Actions with A > 0 become more likely, those with A < 0 less. A2C (advantage
-actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes many, so it
-learns more from it. But the rollout shows only what π_old did, the policy that collected it, so π
+actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes many, so each
+rollout teaches more. But the rollout shows only what π_old did, the policy that collected it, so π
 must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
-  4. Estimate the advantages A (GAE [2]). A + V(s) are the targets that V is trained on.
+  4. Estimate the advantages A (GAE [2]): what followed, minus V(s). So A + V(s) estimates what
+     followed, and is the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     with A standardised. But once KL(π_old ‖ π) is above max_kl on a minibatch, go on to 6.
+     with A standardised. But once KL(π_old ‖ π), a measure of how far π has moved, is above max_kl
+     on a minibatch, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
 Points 2, 4 and 5 are PPO. The rest are details that help: 1, 3, 6, max_kl, standardised A and the
@@ -130,7 +132,7 @@ class RunningStatistics(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: the usual gain
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -216,8 +218,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
-    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less bias, but more noise. If the episode
-    terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
+    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
+    episode terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -251,7 +253,8 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. On all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    Returns metrics of the last minibatch looked at. As π and π_old are Gaussians of one σ,
+    Returns metrics of the last minibatch looked at; in clip_fraction each ρ outside 1 ± ε counts,
+    also those that keep their gradient. As π and π_old are Gaussians of one σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
     """
@@ -300,7 +303,7 @@ def train(index, args, folder):
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():  # where an episode ends, s_{t+1} is not the state of the next row
+            with torch.no_grad():  # s_{t+1}: not in the next row where an episode has ended
                 old_policy = agent.policy(batch.obs)
                 old_log_probs = old_policy.log_prob(batch.actions).sum(-1)
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -383,14 +386,14 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
     seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
     return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
-    """One thread, as more round differently; and seeds for all global generators."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more
+    """Seed all global generators, and compute in one thread."""
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
@@ -422,7 +425,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # also where the class has a property
+                vars(self.unwrapped)[name] = space  # no error where the class has a property
         return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
 
     def step(self, action):
@@ -482,23 +485,25 @@ def watch(path):
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         make_repeatable(args.seed[0])  # some environments draw numbers when they are made
-        envs = make_envs(args, args.eval_episodes)
-        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
-        agent.load_state_dict(saved["agent"])
+        with closing(make_envs(args, args.eval_episodes)) as envs:
+            agent = Agent(
+                envs.single_observation_space, envs.single_action_space, args.hidden_size)
+            agent.load_state_dict(saved["agent"])
+            print("return:", evaluate(agent, envs, args.seed[0]))
     except Exception as error:
         sys.exit(f"--watch {path}: cannot be played: {error!r}")
-    print("return:", evaluate(agent, envs, args.seed[0]))
-    envs.close()
     try:
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
-            every = max(1, round(fps / 25))  # steps for a frame
+            every = max(1, round(fps / 25))  # steps for a frame; its end in hundredths of a second:
+            ends = np.rint(np.arange(201) * 100 * every / fps)
+            make_repeatable(args.seed[0])
             obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
             for step in range(200 * every):
                 if step % every == 0:
-                    film.write(
-                        envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
+                    film.write(  # in 8 bits a pixel, as a GIF has them
+                        envs.render()[0], bits=8, duration=list(10 * np.diff(ends)), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
                 if terminated | truncated:
                     break
@@ -542,8 +547,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: episodes in evaluation (of REINFORCE: all) "
-              "end after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
+              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

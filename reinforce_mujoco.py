@@ -31,7 +31,7 @@ learns by trial and error: actions followed by high rewards become more likely.
          --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
   4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
      those with A < 0 less likely (`policy_loss` says why). The critic takes one on
-     ½·mean((V(s) − G)²), which is least where V(s) is the mean of G.
+     ½·mean((V(s) − G)²), which is least if V(s) is the average of G after s.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
@@ -92,14 +92,14 @@ class Agent(nn.Module):
     @torch.no_grad()
     def act(self, obs, deterministic=False):
         """NumPy observations (…, D) -> NumPy actions (…, K): drawn from π, or its mean."""
-        policy = self.policy(torch.tensor(obs))
+        policy = self.policy(torch.tensor(obs.astype(float)))
         return (policy.mean if deterministic else policy.sample()).numpy()
 
 
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: the usual gain
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -122,8 +122,9 @@ def play(env, agent):
         obs, reward, terminated, truncated, _ = env.step(actions[-1])
         rewards.append(reward)
         done = terminated or truncated
-    last_value = 0.0 if terminated else agent.value(torch.tensor(obs)).item()
-    return torch.tensor(np.stack(all_obs)), torch.tensor(np.stack(actions)), rewards, last_value
+    last_value = 0.0 if terminated else agent.value(torch.tensor(obs.astype(float))).item()
+    all_obs, actions = np.stack(all_obs).astype(float), np.stack(actions)
+    return torch.tensor(all_obs), torch.tensor(actions), rewards, last_value
 
 
 def compute_rewards_to_go(rewards, last_value, gamma):
@@ -174,8 +175,8 @@ def policy_loss(log_probs, advantages):
 
     A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step on the loss is one
     up the mean return (minus: optimisers descend). It differs from the formula as follows:
-      - a mean over steps, not a sum an episode, keeps long episodes from larger gradients;
-      - γ < 1, without the factor γ^t that [2] has, accepts some bias for less noise;
+      - a mean over the batch's steps, so gradients do not grow as episodes get longer;
+      - γ < 1 counts late rewards less: some bias, less noise; nor is there the γ^t of [2];
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
     """
@@ -193,8 +194,8 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # How well V predicted G, up to a constant: 1 is perfectly; 0 or less means that V is of no use,
-    # or that G hardly varies.
+    # The share of G's variance that V explains: 1 is all; 0 or less, that V is of no use, or that G
+    # hardly varies.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -284,14 +285,14 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
     seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
     return (seeds // 2).tolist()  # below 2³¹, as some environments want them
 
 
 def make_repeatable(seed):
-    """One thread, as more round differently; and seeds for all global generators."""
-    torch.set_num_threads(1)  # networks this small gain nothing from more
+    """Seed all global generators, and compute in one thread."""
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
@@ -299,8 +300,7 @@ def make_repeatable(seed):
 def make_envs(args, count, **kwargs):
     """A vector of `count` environments, which reset themselves after the end of an episode."""
     envs = gym.make_vec(args.env_id, count, "sync", wrappers=[
-        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000),
-        lambda x: gym.wrappers.DtypeObservation(x, np.float64), Tidy], **kwargs)
+        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
@@ -318,7 +318,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # also where the class has a property
+                vars(self.unwrapped)[name] = space  # no error where the class has a property
         return self.look(self.env.reset(seed=seed, options=options or None)[0]), {}
 
     def step(self, action):
@@ -382,23 +382,25 @@ def watch(path):
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         make_repeatable(args.seed[0])  # some environments draw numbers when they are made
-        envs = make_envs(args, args.eval_episodes)
-        agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
-        agent.load_state_dict(saved["agent"])
+        with closing(make_envs(args, args.eval_episodes)) as envs:
+            agent = Agent(
+                envs.single_observation_space, envs.single_action_space, args.hidden_size)
+            agent.load_state_dict(saved["agent"])
+            print("return:", evaluate(agent, envs, args.seed[0]))
     except Exception as error:
         sys.exit(f"--watch {path}: cannot be played: {error!r}")
-    print("return:", evaluate(agent, envs, args.seed[0]))
-    envs.close()
     try:
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
-            every = max(1, round(fps / 25))  # steps for a frame
+            every = max(1, round(fps / 25))  # steps for a frame; its end in hundredths of a second:
+            ends = np.rint(np.arange(201) * 100 * every / fps)
+            make_repeatable(args.seed[0])
             obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
             for step in range(200 * every):
                 if step % every == 0:
-                    film.write(
-                        envs.render()[0], bits=8, duration=round(1000 * every / fps, -1), loop=0)
+                    film.write(  # in 8 bits a pixel, as a GIF has them
+                        envs.render()[0], bits=8, duration=list(10 * np.diff(ends)), loop=0)
                 obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
                 if terminated | truncated:
                     break
@@ -442,8 +444,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: episodes in evaluation (of REINFORCE: all) "
-              "end after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
+              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -108,10 +108,9 @@ def test_a_seed_given_twice_and_an_unknown_option_are_named(script, refusal):
 
 
 @only("a2c_vector")
-def test_options_that_cannot_work_are_named(script, refusal):
+def test_an_option_that_cannot_work_is_named(script, refusal):
     """CartPole has a gravity, too, but another one."""
     assert "--randomize" in refusal(script, "--env-id", "CartPole-v1", "--randomize")
-    assert "async" in refusal(script, "--vectorization", "async", "--seed", 1, 2)
 
 
 def test_a_place_where_no_folder_can_be_made_is_named(script, refusal, tmp_path):
