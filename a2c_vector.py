@@ -20,8 +20,8 @@ of an episode. Two neural networks learn:
     the critic  V(s)     what to expect from s on if we follow π: the mean *reward to go*
                          r_t + γ·r_{t+1} + γ²·r_{t+2} + …, in which later rewards count less (γ < 1)
 
-Without V an episode must end before we know what followed each action. In A2C (A3C [1] with all
-environments in step) V stands in for the rewards still to come. One update:
+Without V an episode must end before we know what followed each action. In A2C (which is A3C [1]
+with all environments in lockstep) V stands in for the rewards still to come. One update:
 
   1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus (in 5).
   2. Collect a rollout: T steps in each of N environments.
@@ -29,14 +29,15 @@ environments in step) V stands in for the rewards still to come. One update:
   4. Estimate the advantages A (GAE [2]): how much better each action turned out than what π does on
      average. A + V(s) then estimates the reward to go: the target for V.
   5. Take one gradient step to lower, over the whole rollout,
-         −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)
+         −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)      with A standardised
      It makes actions with A > 0 more likely, the others less. The entropy is high while π is
      undecided; the bonus keeps π from settling on one action before it has tried the others. Then
      throw the rollout away, because it shows what the old π did.
   6. Update the statistics that normalise observations. Start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
-gradient is less noisy, and one call of the networks serves N states (`make_envs`). `--randomize`
+gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
+uses T·N steps, so a larger N means fewer updates. `--randomize`
 varies the physics (`RandomPhysics`). Points 1, 3 and 6, standardised A, the initial weights and
 clipped gradients are details that help.
 
@@ -45,7 +46,7 @@ In shapes: T rollout_steps, N num_envs, D numbers in an observation.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning, arXiv 1602.01783.
 [2] Schulman et al. 2016, Generalized Advantage Estimation, arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
-[4] Peng et al. 2018, Sim-to-Real Transfer of Robotic Control with Dynamics Randomization.
+[4] Peng et al. 2018, Sim-to-Real Transfer ... with Dynamics Randomization, arXiv 1710.06537.
 """
 
 import argparse
@@ -111,7 +112,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # A spread below 1e-8 of the mean counts as none; nothing is divided by 0.
+        # At least 1e-8 of the mean, because less is rounding, and 1e-15: no division by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -188,7 +189,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
+    episode terminates there, these are the rewards that followed minus V(s_t), as in REINFORCE.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -211,9 +212,9 @@ def policy_loss(log_probs, advantages):
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
 
-    as A_t has nearly the mean of the bracket, given s_t and a_t (it discounts and relies on V), and
-    far less noise. The mean in the loss only rescales the gradient. The actions must come from π as
-    it is now, so a rollout serves for one step only.
+    as A_t has, given s_t and a_t, the mean of the bracket (only nearly, because it discounts and
+    relies on V) and far less noise. The mean in the loss only rescales the gradient. The actions
+    must come from π as it is now, so a rollout serves for one step only.
     """
     return -(advantages * log_probs).mean()
 
@@ -221,9 +222,9 @@ def policy_loss(log_probs, advantages):
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
     # Mean 0, standard deviation 1, so that c and the actor's clipping suit rewards of any size.
-    A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
+    standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
-    loss_pi = policy_loss(policy.log_prob(actions), A)
+    loss_pi = policy_loss(policy.log_prob(actions), standardised)
     loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
@@ -246,9 +247,11 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         sync     N·step
         async    N·step/cores + N·message        at best, with at most N cores
 
-    So async pays if step·(1 − 1/cores) > message, which is some 0.04 ms: on two cores from 0.08 ms
-    a step on. A step on the moon takes 0.03 ms. Evaluations always take sync, because their numbers
-    must be the same in a replay, whatever generator an environment draws from.
+    Here cores are those that nothing else uses, as other seeds would, and a message there and back
+    takes some 0.04 ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step
+    takes more than 0.08 ms. One on the moon takes 0.03 ms. (The column `seconds` of the log tells.)
+    Evaluations always take sync: only then do the seeds that `evaluate` gives to the generators of
+    this process reach the environments, too.
 
     By default ("NextStep") a vector resets an environment in the step after the end of its episode.
     That step ignores the action and earns nothing: a transition that never happened, from which an
@@ -280,19 +283,20 @@ class RandomPhysics(gym.Wrapper):
     An agent is often meant for a world that we know only roughly, say a robot that is trained in a
     simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
     observe φ, so one policy has to do for all moons. Returns (mean ± std over ten agents) by
-    `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` and `--randomize`:
+    `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` or `--randomize`:
 
         trained             usual moon    random moons
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
-    Here it does not pay: on random moons nothing is gained, on the usual one 30 are lost. It may
-    where the real world is farther from the simulator.
+    Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
+    It may where the real world is farther from the simulator.
 
-    For another environment write such a wrapper, and put it and the id into `make_envs`. Draw from
-    ranges as wide as your doubts (Gymnasium allows this moon a gravity above −12, and recommends
-    these winds). Set the numbers before the environment's own reset. Nothing checks them, and what
-    its `__init__` has derived from others must be computed anew. For CartPole, for instance:
+    For another environment write such a wrapper, and put it and the environment's name into
+    `make_envs`, in place of these. Draw from ranges as wide as your doubts (this moon allows a
+    gravity between −12 and 0, and recommends these winds), and set the numbers before the
+    environment's own reset. Nothing checks them any more, and what its `__init__` has derived from
+    others must be computed anew. For CartPole, between the first lines of `reset` and its last:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
@@ -316,15 +320,16 @@ class RandomPhysics(gym.Wrapper):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
+    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
-          closing(make_envs(args, args.num_envs, args.vectorization, "Disabled")) as envs):
+          closing(make_envs(args, args.num_envs, args.vectorization, "Disabled")) as envs,
+          tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-        bar = tqdm(total=args.total_steps, disable=index > 0)
         obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
         while env_step < args.total_steps:
             # 1. Anneal.
@@ -333,10 +338,11 @@ def train(index, args, folder):
             entropy_coef = remaining * args.entropy_coef
             # 2. Collect a rollout.
             batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
+            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
             # 4. Estimate advantages and targets; in 5 they are constants, so that only V moves.
-            with torch.no_grad():  # s_{t+1}: not in the next row where an episode has ended
+            with torch.no_grad():  # next_obs: the next row of obs may be another episode's
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -347,10 +353,9 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A): 1 is perfectly, 0 or less means
-            # that V is useless, or that nothing is left to explain.
+            # The share of the targets' variance that V predicted (target − V = A): 1 is perfect,
+            # 0 or less no better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
-            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
             env_step += rewards.numel()
@@ -369,7 +374,7 @@ def train(index, args, folder):
 
 
 def parse_args(argv=None, known=None):
-    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
+    """The options in `argv` (None: the command line); values in `known` replace the defaults."""
     parser = argparse.ArgumentParser(
         usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
@@ -413,9 +418,8 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
-    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
-    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
+    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
 def make_repeatable(seed):
@@ -438,7 +442,7 @@ class Tidy(gym.Wrapper):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
                 vars(self.unwrapped)[name] = space  # no error where the class has a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -452,19 +456,18 @@ def check_finite(name, x):
     return x
 
 
-def evaluate(agent, envs, seed, draw=None):
+def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. If given, `draw(step)` is called before each step.
+    ends after 1,000 steps. It calls `before_step(step)` before each.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     for step in range(envs.spec.max_episode_steps or 1000):
-        if draw:
-            draw(step)
+        before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
@@ -501,17 +504,18 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
+        make_repeatable(seed)  # so that the film shows the first of these episodes
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
-            duration = round(1000 * every / fps, -1)  # milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
-            def draw(step):
+            def film_step(step):
                 if step % every == 0 and step < 200 * every:
                     film.write(envs.render()[0], bits=8, duration=duration, loop=0)
 
-            evaluate(agent, envs, seed, draw)
+            evaluate(agent, envs, seed, film_step)
     except Exception as error:
         sys.exit(f"--watch {path}: {error!r}")
 
@@ -546,21 +550,21 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        envs = make_envs(args, 1)
-        envs.close()
-        folder.mkdir(parents=True)
+        with closing(make_envs(args, 1)) as envs:
+            folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
+        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
+        sys.exit(" ".join(line.split()))  # without line breaks
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
-              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     except KeyboardInterrupt:
-        sys.exit("interrupted")  # which it says after what follows
+        sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
             process.join(1)  # it may have had Ctrl-C, too

@@ -13,33 +13,34 @@ logs, agents and a figure in a new folder in runs/. In a good run the return cli
 from 50, which random actions earn, to 9,300; the most is 9,360.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
-reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
-of an episode. Two neural networks learn:
+reward r, until the episode ends. We want a high *return*, the sum of all rewards of an episode. Two
+neural networks learn:
 
-    the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take
+    the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
     the critic  V(s)                        what to expect from s on if we follow π: the mean of
                                             r_t + γ·r_{t+1} + γ²·r_{t+2} + …, with γ < 1
 
-The advantage A of an action is what followed it minus V(s): how much better it turned out than what
-π does on average. Actions with A > 0 become more likely, those with A < 0 less. A2C (advantage
-actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes many, so each
-rollout teaches more. But the rollout shows only what π_old did, the policy that collected it, so π
-must stay near π_old. One update:
+With γ a little below 1, rewards more than some 1/(1−γ) steps later hardly count: they owe little to
+this action and would mostly add noise. The *advantage* A of an action is how much better what
+follows it is, on average, than what follows an action of π; a rollout gives a noisy estimate of it:
+what followed, minus V(s). Actions with A > 0 become more likely, those with A < 0 less. A2C
+(advantage actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes
+many, so each rollout teaches more. But it shows only what π_old did, the policy that collected it,
+so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
-  4. Estimate the advantages A (GAE [2]): what followed, minus V(s). So A + V(s) estimates what
-     followed, and is the target for V.
+  4. Estimate the advantages A (GAE [2]). A + V(s) then estimates what follows: the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     with A standardised. But once KL(π_old ‖ π), a measure of how far π has moved, is above max_kl
-     on a minibatch, go on to 6.
+     with A standardised. But before each step measure KL(π_old ‖ π), how far π has moved. Once it
+     is above max_kl, skip the remaining steps and go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Points 2, 4 and 5 are PPO. The rest are details that help: 1, 3, 6, max_kl, standardised A and the
-initial weights are common [4], σ that follows a schedule and tanh, which keeps actions in their
-bounds, are ours. Left out: an entropy bonus, and clipped rewards, gradients and value loss.
+Points 2, 4 and 5 are PPO. The rest are details that help: common ones [4] are the falling rate, 3,
+6, max_kl, standardised A and the initial weights; ours are the schedule of σ, and tanh, which keeps
+actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -47,6 +48,7 @@ In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observati
 [2] Schulman et al. 2016, Generalized Advantage Estimation, arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
 [4] Huang et al. 2022, The 37 Implementation Details of Proximal Policy Optimization.
+[5] Kakade and Langford 2002, Approximately Optimal Approximate Reinforcement Learning.
 """
 
 import argparse
@@ -112,7 +114,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # A spread below 1e-8 of the mean counts as none; nothing is divided by 0.
+        # At least 1e-8 of the mean, because less is rounding, and 1e-15: no division by 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -141,8 +143,8 @@ def mlp(inputs, hidden, outputs, last_gain):
 def squash(actions, space):
     """Map actions (N, K) of any size into the bounds of the action space.
 
-    PPO takes this as a part of the environment: a is the action as drawn, and π(a|s) its density.
-    (That of the squashed action has one more factor, in π as in π_old: it cancels in ρ.)
+    To PPO this is a part of the environment: a is the action as drawn, and π(a|s) its density.
+    (The squashed action's density has one more factor, the same in π and π_old, so ρ is the same.)
     """
     share = (np.tanh(actions) + 1) / 2
     inside = (1 - share) * space.low + share * space.high
@@ -199,8 +201,7 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
         sums[t] = rewards[t] + gamma * past_rewards
         past_rewards = sums[t] * ~done[t]
     stats.update(sums)
-    varies = stats.var > 1e-16 * stats.mean**2  # by more than rounding
-    scale = stats.var.sqrt() if varies else 1.0
+    scale = stats.var.sqrt() if stats.var > 1e-16 * stats.mean**2 else 1.0  # else: only rounding
     return (rewards / scale).float(), past_rewards
 
 
@@ -219,7 +220,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, this is the reward to go minus V(s_t): REINFORCE with the baseline V.
+    episode terminates there, these are the rewards that followed minus V(s_t), as in REINFORCE.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -234,8 +235,9 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    in one state. Summed with weights γ^t over the states that π_old meets, it is nearly the gain in
-    discounted return while π is near π_old (Kakade and Langford 2002). PPO drops γ^t: raise E[ρ·A].
+    in one state. Summed with weights γ^t over the states that π meets, that is the exact gain in
+    discounted return [5]. PPO takes the states that π_old has met instead, which is nearly the same
+    while π is near π_old, and drops γ^t: raise E[ρ·A].
     At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Farther away the
     estimate gets worse, so a sample drops out once ρ has gone far enough in the direction of A:
 
@@ -253,8 +255,8 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. On all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    Returns metrics of the last minibatch looked at; in clip_fraction each ρ outside 1 ± ε counts,
-    also those that keep their gradient. As π and π_old are Gaussians of one σ,
+    Returns metrics of the last minibatch; clip_fraction counts every ρ outside 1 ± ε, also those
+    that keep their gradient. As π and π_old are Gaussians with the same σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
     """
@@ -263,15 +265,15 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
             obs, actions, old_means, old_log_probs, A, targets = (x[rows] for x in samples)
             policy = agent.policy(obs)
             ratio = (policy.log_prob(actions).sum(-1) - old_log_probs).exp()
-            kl = (((policy.mean - old_means) / policy.stddev) ** 2).sum(-1).mean() / 2
+            kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2
             loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
             metrics = {"value_loss": loss_v.item(), "kl": kl.item(),
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # A > 0: above the minibatch's mean
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so that no scale of A sets the step
             optimizer.zero_grad()
-            (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # the networks share no weights
+            (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
             optimizer.step()
     return metrics
 
@@ -281,16 +283,17 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
+    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
     with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
-          closing(make_envs(args, args.num_envs, "Disabled")) as envs):
+          closing(make_envs(args, args.num_envs, "Disabled")) as envs,
+          tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         reward_stats, past_rewards = RunningStatistics(), 0.0
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-        bar = tqdm(total=args.total_steps, disable=index > 0)
         obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
         while env_step < args.total_steps:
             # 1. Anneal: the smaller σ, the more a step in μ changes π, so the rate falls with it.
@@ -299,30 +302,29 @@ def train(index, args, folder):
             agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
             # 2. Collect a rollout.
             batch, obs, returns = rollout(envs, agent, obs, args.rollout_steps)
+            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             # 3. Scale the rewards.
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():  # s_{t+1}: not in the next row where an episode has ended
-                old_policy = agent.policy(batch.obs)
-                old_log_probs = old_policy.log_prob(batch.actions).sum(-1)
+            with torch.no_grad():  # next_obs: the next row of obs may be another episode's
+                old_pi = agent.policy(batch.obs)
+                old_log_probs = old_pi.log_prob(batch.actions).sum(-1)
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
             targets = advantages + values
             # 5. Update actor and critic, on samples in no order: (T, N, …) -> (T·N, …).
-            samples = (
-                batch.obs, batch.actions, old_policy.mean, old_log_probs, advantages, targets)
+            samples = (batch.obs, batch.actions, old_pi.mean, old_log_probs, advantages, targets)
             metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
                                epochs=args.epochs, minibatch_size=args.minibatch_size,
                                clip_eps=args.clip_eps, max_kl=args.max_kl)
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A): 1 is perfectly, 0 or less means
-            # that V is useless, or that nothing is left to explain.
+            # The share of the targets' variance that V predicted (target − V = A): 1 is perfect,
+            # 0 or less no better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
-            check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
             env_step += rewards.numel()
@@ -341,7 +343,7 @@ def train(index, args, folder):
 
 
 def parse_args(argv=None, known=None):
-    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
+    """The options in `argv` (None: the command line); values in `known` replace the defaults."""
     parser = argparse.ArgumentParser(
         usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
@@ -386,9 +388,8 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
-    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
-    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
+    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
 def make_repeatable(seed):
@@ -399,7 +400,7 @@ def make_repeatable(seed):
 
 
 def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
-    """A vector of `count` environments; in this mode, for evaluation, they reset themselves."""
+    """A vector of `count` environments. With "NextStep", for evaluation, they reset themselves."""
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -428,7 +429,7 @@ class Tidy(gym.Wrapper):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
                 vars(self.unwrapped)[name] = space  # no error where the class has a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # after a mask, {}
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -442,19 +443,18 @@ def check_finite(name, x):
     return x
 
 
-def evaluate(agent, envs, seed, draw=None):
+def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. If given, `draw(step)` is called before each step.
+    ends after 1,000 steps. It calls `before_step(step)` before each.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     for step in range(envs.spec.max_episode_steps or 1000):
-        if draw:
-            draw(step)
+        before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
@@ -491,17 +491,18 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
+        make_repeatable(seed)  # so that the film shows the first of these episodes
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
-            duration = round(1000 * every / fps, -1)  # milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
-            def draw(step):
+            def film_step(step):
                 if step % every == 0 and step < 200 * every:
                     film.write(envs.render()[0], bits=8, duration=duration, loop=0)
 
-            evaluate(agent, envs, seed, draw)
+            evaluate(agent, envs, seed, film_step)
     except Exception as error:
         sys.exit(f"--watch {path}: {error!r}")
 
@@ -536,21 +537,21 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        envs = make_envs(args, 1)
-        envs.close()
-        folder.mkdir(parents=True)
+        with closing(make_envs(args, 1)) as envs:
+            folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
+        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
+        sys.exit(" ".join(line.split()))  # without line breaks
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
-              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     except KeyboardInterrupt:
-        sys.exit("interrupted")  # which it says after what follows
+        sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
             process.join(1)  # it may have had Ctrl-C, too

@@ -9,8 +9,8 @@
     python reinforce_mujoco.py --watch runs/…/seed-1.pt     replays an agent and films it
 
 The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
-and a figure in a new folder in runs/. In a good run the return climbs within a minute from below 10
-(random actions earn 5) to 1000, the most that an episode can earn.
+and a figure in a new folder in runs/. In a good run the return climbs within a minute from 5, which
+random actions earn, to 1000, the most that an episode can earn.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
@@ -36,8 +36,9 @@ learns by trial and error: actions followed by high rewards become more likely.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
-order of 1) and V(s_T) for the rewards that a time limit cuts off [3], also with the other two
-baselines. Nothing is rescaled: observations, actions and rewards should be of the order of 1.
+order of 1). If a time limit cuts an episode off, V(s_T) stands for the missing rewards [3], so the
+critic learns with every baseline. Nothing is rescaled: observations, actions and rewards should be
+of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -81,18 +82,18 @@ class Agent(nn.Module):
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s): a Gaussian for each of the K numbers of an action."""
-        mean, raw_std = self.actor(obs.float()).chunk(2, dim=-1)
+        mean, raw_std = self.actor(obs).chunk(2, dim=-1)
         std = nn.functional.softplus(raw_std) + 0.1  # at least 0.1, so that it keeps exploring
         return torch.distributions.Normal(mean, std)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,)."""
-        return self.critic(obs.float()).squeeze(-1)
+        return self.critic(obs).squeeze(-1)
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
         """NumPy observations (…, D) -> NumPy actions (…, K): drawn from π, or its mean."""
-        policy = self.policy(torch.tensor(obs.astype(float)))
+        policy = self.policy(torch.tensor(np.float32(obs)))
         return (policy.mean if deterministic else policy.sample()).numpy()
 
 
@@ -111,20 +112,20 @@ def mlp(inputs, hidden, outputs, last_gain):
 def play(env, agent):
     """1. One episode of T steps.
 
-    Returns observations (T, D), actions (T, K) as drawn, T rewards, and G_T, the value after them:
-    0 if the episode ended for good (the pole fell), V(s_T) if a time limit cut it off.
+    Returns observations (T, D), actions (T, K) as drawn (`Tidy` clips them), T rewards, and an
+    estimate of the rewards still to come: 0 if the episode ended for good (the pole fell), V(s_T)
+    if a time limit cut it off.
     """
-    all_obs, actions, rewards, done = [], [], [], False
+    all_obs, actions, rewards, terminated, truncated = [], [], [], False, False
     obs, _ = env.reset()
-    while not done:
+    while not (terminated or truncated):
         all_obs.append(obs)
         actions.append(agent.act(obs))
         obs, reward, terminated, truncated, _ = env.step(actions[-1])
         rewards.append(reward)
-        done = terminated or truncated
-    last_value = 0.0 if terminated else agent.value(torch.tensor(obs.astype(float))).item()
-    all_obs, actions = np.stack(all_obs).astype(float), np.stack(actions)
-    return torch.tensor(all_obs), torch.tensor(actions), rewards, last_value
+    last_value = 0.0 if terminated else agent.value(torch.tensor(np.float32(obs))).item()
+    all_obs, actions = (torch.tensor(np.float32(x)) for x in (all_obs, actions))
+    return all_obs, actions, rewards, last_value
 
 
 def compute_rewards_to_go(rewards, last_value, gamma):
@@ -158,7 +159,7 @@ def policy_loss(log_probs, advantages):
         P(τ) = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…
 
     In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
-    So put τ for a, P for π and the return Σ_i r_i for G in the lines above:
+    The three lines above hold for episodes, too, with τ for a, P(τ) for π(a), the return for G(a):
 
         ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = Σ_t Σ_i E[r_i·∇log π(a_t|s_t)]
 
@@ -173,10 +174,10 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step on the loss is one
-    up the mean return (minus: optimisers descend). It differs from the formula as follows:
+    A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step down the loss is a
+    step up the mean return. The loss differs from the formula as follows:
       - a mean over the batch's steps, so gradients do not grow as episodes get longer;
-      - γ < 1 counts late rewards less: some bias, less noise; nor is there the γ^t of [2];
+      - γ < 1 counts late rewards less: some bias, less noise. The factor γ^t of [2] is left out;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
     """
@@ -194,8 +195,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # The share of G's variance that V explains: 1 is all; 0 or less, that V is of no use, or that G
-    # hardly varies.
+    # The share of G's variance that V explains: 1 all, 0 or less none (or G hardly varies).
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -206,16 +206,17 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as if it were Ctrl-C
+    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # together, which is faster
-          closing(make_envs(args, 1)) as envs):
-        (env,) = envs.envs
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # together: faster
+          closing(make_envs(args, 1)) as envs,
+          tqdm(total=args.total_steps, disable=index > 0) as bar):
+        (env,) = envs.envs  # the one itself, which waits for `play` to reset it
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-        bar = tqdm(total=args.total_steps, disable=index > 0)
         env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it without a seed
         while env_step < args.total_steps:
             optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
@@ -247,7 +248,7 @@ def train(index, args, folder):
 
 
 def parse_args(argv=None, known=None):
-    """The options of a command line (None: of this one); what is `known` replaces the defaults."""
+    """The options in `argv` (None: the command line); values in `known` replace the defaults."""
     parser = argparse.ArgumentParser(
         usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
@@ -285,9 +286,8 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Different seeds for each stream: 0 global generators, 1 evaluation, 2 training."""
-    seeds = np.random.SeedSequence([seed, stream]).generate_state(count)
-    return (seeds // 2).tolist()  # below 2³¹, as some environments want them
+    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
 def make_repeatable(seed):
@@ -311,7 +311,11 @@ def make_envs(args, count, **kwargs):
 
 
 class Tidy(gym.Wrapper):
-    """An environment whose spaces no other shares, which clips actions and gives finite numbers."""
+    """An environment that clips actions, insists on finite numbers, and has spaces of its own.
+
+    Often all environments of a class share its spaces; but an evaluation, which seeds them, must
+    not change what training draws.
+    """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
@@ -319,7 +323,7 @@ class Tidy(gym.Wrapper):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
                 vars(self.unwrapped)[name] = space  # no error where the class has a property
-        return self.look(self.env.reset(seed=seed, options=options or None)[0]), {}
+        return self.look(self.env.reset(seed=seed)[0]), {}
 
     def step(self, action):
         """Clipping is a part of the environment: π(a|s) is the density of a as it was drawn."""
@@ -340,19 +344,18 @@ def check_finite(name, x):
     return x
 
 
-def evaluate(agent, envs, seed, draw=None):
+def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. If given, `draw(step)` is called before each step.
+    ends after 1,000 steps. It calls `before_step(step)` before each.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
     for step in range(envs.spec.max_episode_steps or 1000):
-        if draw:
-            draw(step)
+        before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
@@ -389,17 +392,18 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
+        make_repeatable(seed)  # so that the film shows the first of these episodes
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
-            duration = round(1000 * every / fps, -1)  # milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
-            def draw(step):
+            def film_step(step):
                 if step % every == 0 and step < 200 * every:
                     film.write(envs.render()[0], bits=8, duration=duration, loop=0)
 
-            evaluate(agent, envs, seed, draw)
+            evaluate(agent, envs, seed, film_step)
     except Exception as error:
         sys.exit(f"--watch {path}: {error!r}")
 
@@ -434,21 +438,21 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        envs = make_envs(args, 1)
-        envs.close()
-        folder.mkdir(parents=True)
+        with closing(make_envs(args, 1)) as envs:
+            folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        sys.exit(" ".join(f"{args.env_id}: {error}".split()))  # on one line
+        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
+        sys.exit(" ".join(line.split()))  # without line breaks
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} registers no time limit: where an episode must end (in evaluations), "
-              "it does after 1,000 steps. Another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
     except KeyboardInterrupt:
-        sys.exit("interrupted")  # which it says after what follows
+        sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
             process.join(1)  # it may have had Ctrl-C, too

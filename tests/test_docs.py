@@ -56,6 +56,12 @@ def test_every_snippet_compiles(block):
     compile(re.sub(r"^[!%].*$", "", block, flags=re.MULTILINE), "snippet", "exec")
 
 
+def test_the_code_that_the_readme_shows_stands_in_the_file():
+    (block,) = [x for x in SNIPPETS if "def policy_loss" in x]
+    file = (harness.ROOT / "ppo_continuous.py").read_text(encoding="utf-8")
+    assert all(part in file for part in block.split("    …\n"))
+
+
 def test_a_trained_agent_plays_in_code_of_your_own(tmp_path):
     (block,) = [x for x in SNIPPETS if "torch.load" in x]
     path = SCRIPTS["ppo_continuous"].train(tmp_path)
