@@ -340,17 +340,19 @@ def check_finite(name, x):
     return x
 
 
-def evaluate(agent, envs, seed):
+def evaluate(agent, envs, seed, draw=None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps.
+    ends after 1,000 steps. If given, `draw(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
     obs, _ = envs.reset(seed=make_seeds(seed, stream=1, count=envs.num_envs))
     returns, playing = np.zeros(envs.num_envs), np.ones(envs.num_envs, dtype=bool)
-    for _ in range(envs.spec.max_episode_steps or 1000):
+    for step in range(envs.spec.max_episode_steps or 1000):
+        if draw:
+            draw(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
@@ -381,31 +383,25 @@ def watch(path):
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
-        make_repeatable(args.seed[0])  # some environments draw numbers when they are made
+        seed = args.seed[0]
+        make_repeatable(seed)  # some environments draw numbers when they are made
         with closing(make_envs(args, args.eval_episodes)) as envs:
-            agent = Agent(
-                envs.single_observation_space, envs.single_action_space, args.hidden_size)
+            agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
-            print("return:", evaluate(agent, envs, args.seed[0]))
-    except Exception as error:
-        sys.exit(f"--watch {path}: cannot be played: {error!r}")
-    try:
+            print("return:", evaluate(agent, envs, seed))
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
-            every = max(1, round(fps / 25))  # steps for a frame; its end in hundredths of a second:
-            ends = np.rint(np.arange(201) * 100 * every / fps)
-            make_repeatable(args.seed[0])
-            obs, _ = envs.reset(seed=make_seeds(args.seed[0], stream=1, count=1))
-            for step in range(200 * every):
-                if step % every == 0:
-                    film.write(  # in 8 bits a pixel, as a GIF has them
-                        envs.render()[0], bits=8, duration=list(10 * np.diff(ends)), loop=0)
-                obs, _, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-                if terminated | truncated:
-                    break
+            every = max(1, fps // 25)  # steps for a frame
+            duration = round(1000 * every / fps, -1)  # milliseconds; GIFs know tens only
+
+            def draw(step):
+                if step % every == 0 and step < 200 * every:
+                    film.write(envs.render()[0], bits=8, duration=duration, loop=0)
+
+            evaluate(agent, envs, seed, draw)
     except Exception as error:
-        sys.exit(f"no film of {args.env_id} in {path.with_suffix('.gif')}: {error!r}")
+        sys.exit(f"--watch {path}: {error!r}")
 
 
 def plot(folder):
@@ -451,7 +447,9 @@ def main():
             train(0, args, folder)
         else:  # train(0, args, folder), train(1, …), …, each in a process
             torch.multiprocessing.spawn(train, (args, folder), len(args.seed))
-    finally:  # after Ctrl-C, too
+    except KeyboardInterrupt:
+        sys.exit("interrupted")  # which it says after what follows
+    finally:
         for process in torch.multiprocessing.active_children():
             process.join(1)  # it may have had Ctrl-C, too
             process.terminate()
@@ -462,9 +460,4 @@ def main():
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except KeyboardInterrupt:  # no traceback, but the same signal, which also ends a shell's loop
-        print("interrupted", flush=True)
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        signal.raise_signal(signal.SIGINT)
+    main()

@@ -231,7 +231,7 @@ def test_watch_takes_the_options_of_the_file_except_for_those_typed(
         options = [*options, *["--no-randomize"] * bool(options)]
     calls = spy_on_all(monkeypatch, script.module)
     result, _ = watch(script, seen.path, *options)
-    (evaluation,) = calls["evaluate"]
+    evaluation, *_ = calls["evaluate"]
     assert calls["watch"][0].path == Path(f"{seen.path}.pt")
     assert (evaluation.envs.num_envs, evaluation.seed) == ((6, 9) if options else (5, 7))
     assert {call.seed for call in calls["make_seeds"]} == {evaluation.seed}
