@@ -63,9 +63,6 @@ CHANGES = {
     "blank-gae": (PPO, [
         ("rewards + gamma * next_values * ~terminated - values  # at first only δ", "..."),
         ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
-    "blank-clip": (PPO, [
-        ("ratio.clamp(1 - clip_eps, 1 + clip_eps)", "..."),
-        ("-torch.min(ratio * advantages, clipped_ratio * advantages).mean()", "...")]),
 }
 
 

@@ -63,12 +63,21 @@ def test_the_code_that_the_readme_shows_stands_in_the_file():
 
 
 def test_a_trained_agent_plays_in_code_of_your_own(tmp_path):
-    (block,) = [x for x in SNIPPETS if "torch.load" in x]
+    (block,) = [x for x in SNIPPETS if "import ppo_continuous" in x]
     path = SCRIPTS["ppo_continuous"].train(tmp_path)
     block = block.replace("runs/…/seed-1", str(path)).replace("range(1000)", "range(2)")
     played = {}
     exec(block, played)
     assert played["rewards"].shape == (1,)
+
+
+def test_exercise_4_and_its_answer_run(tmp_path, capsys):
+    (sheet,), (answer,) = ([x for x in SNIPPETS if text in x] for text in ("rf.play", "for b in"))
+    path = SCRIPTS["reinforce_mujoco"].train(tmp_path)
+    exec(sheet.replace("runs/…/seed-1", str(path)) + answer, {})
+    of_nothing, of_mean, *others = map(float, capsys.readouterr().out.split())
+    assert of_mean < of_nothing
+    assert len(others) == 3
 
 
 def test_every_option_in_the_text_exists():
