@@ -3,20 +3,10 @@
 import numpy as np
 import pytest
 import torch
-from conftest import only
+from conftest import both
 from harness import spy_rollouts, train
 
 from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
-
-
-@pytest.fixture
-def float64(monkeypatch):
-    """The scripts compute in float64, so that rounding decides nothing. For other files, too."""
-    monkeypatch.setattr(torch.Tensor, "float", torch.Tensor.double)
-    usual = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(usual)
 
 
 def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -74,7 +64,7 @@ def test_a_dimension_that_has_never_changed_is_0_and_may_jump(constant):
     assert stats.normalise(jumps).flatten().tolist() == [-10, 10]
 
 
-@only("a2c_vector", "ppo_continuous")
+@both
 def test_training_keeps_statistics_of_all_observations_before_the_present_rollout(
         script, monkeypatch):
     rollouts = spy_rollouts(monkeypatch, script.module)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from conftest import SCRIPTS
 from harness import ACTIONS, spy, spy_rollouts, train
-from test_gae import float64, gae_by_hand  # noqa: F401
+from test_gae import gae_by_hand
 from torch.distributions import Normal, kl_divergence
 
 import ppo_continuous as ppo
@@ -186,13 +186,6 @@ def test_each_sample_is_used_once_an_epoch_and_parameters_stay_finite(count, siz
     assert (np.sort(order) == np.arange(count)).all()
     assert len(np.unique(order, axis=0)) == 3
     assert all(x.isfinite().all() for x in (*agent.parameters(), torch.tensor([*metrics.values()])))
-
-
-def test_a_rollout_smaller_than_a_minibatch_is_one_step_an_epoch(monkeypatch):
-    sizes = spy(monkeypatch, ppo, "policy_loss", lambda ratio, *_: len(ratio))
-    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", "--num-envs", 1, "--rollout-steps",
-          128, "--total-steps", 128, "--minibatch-size", 512, "--epochs", 7, "--max-kl", 1e9)
-    assert sizes == [128] * 7
 
 
 def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step():

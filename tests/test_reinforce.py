@@ -8,7 +8,6 @@ import torch
 from conftest import SCRIPTS
 from gymnasium.spaces import Box
 from harness import ACTIONS, TARGET, World, register, spy, train
-from test_gae import float64  # noqa: F401
 
 import reinforce_mujoco as rf
 
@@ -160,14 +159,3 @@ def test_every_episode_starts_differently_also_those_of_other_seeds(monkeypatch)
         train(monkeypatch, rf, "--env-id", "ThreeSteps-v0", "--total-steps", 30, "--seed", seed)
     starts = torch.cat(seen)
     assert len(starts.unique()) == len(starts) == 2 * 12
-
-
-def test_the_log_has_steps_so_far_and_the_mean_return_of_a_batch(monkeypatch):
-    kept, play = [], rf.play
-    monkeypatch.setattr(rf, "play", lambda *x: kept.append(play(*x)) or kept[-1])
-    log = train(monkeypatch, rf, "--env-id", "harness:Uneven-v0", "--batch-episodes", 3,
-                "--total-steps", 40)
-    rewards = [x[2] for x in kept]
-    returns, lengths = (np.reshape([f(x) for x in rewards], (-1, 3)) for f in (sum, len))
-    assert log["return"].tolist() == pytest.approx(returns.mean(1))
-    assert log["env_step"].tolist() == lengths.sum(1).cumsum().tolist()
