@@ -45,11 +45,6 @@ def run(script, *arguments, cwd, status=0, **options):
     return process
 
 
-def run_folder(cwd):
-    (folder,) = Path(cwd, "runs").iterdir()
-    return folder
-
-
 def read_log(path):
     """The log of a seed, without the column that no seed determines."""
     return pd.read_csv(path).drop(columns="seconds")

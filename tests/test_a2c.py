@@ -76,19 +76,6 @@ def test_an_update_follows_the_gradient_written_out(
     assert dict(last[list(expected)]) == pytest.approx(expected)
 
 
-def test_the_policy_that_learns_is_the_one_that_acts():
-    """Actions are as frequent as the log-probabilities say."""
-    agent = SCRIPTS["a2c_vector"].agent("harness:DiscreteThreeSteps-v0")
-    agent.actor[-1].bias.data = torch.tensor([0.1, 0.3, 0.6]).log()
-    obs = np.float32([[1, 2]])
-    actions = agent.act(np.repeat(obs, 20_000, axis=0))
-    log_probs = agent.policy(torch.tensor(obs)).log_prob(torch.arange(3)).detach()
-    probs = log_probs.exp().numpy()
-    np.testing.assert_allclose(probs, [0.1, 0.3, 0.6], atol=0.05)
-    chance = 6 * np.sqrt(probs * (1 - probs) / 20_000)  # six standard errors: once in 10⁹ times
-    assert (abs(np.bincount(actions) / 20_000 - probs) < chance).all()
-
-
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12
 @pytest.mark.parametrize(("start_method", "count"), [
     (None, 4), pytest.param("spawn", 1, marks=pytest.mark.slow)])

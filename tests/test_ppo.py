@@ -76,28 +76,6 @@ def by_hand(agent, samples, rows, clip_eps):
         "kl": kl_divergence(pi_old, pi).sum(-1).mean().item()}
 
 
-def test_the_ratio_stays_1_while_the_policy_does(monkeypatch):
-    """At learning rate 0, with the environments' own bounds far narrower than σ."""
-    ratios = spy(monkeypatch, ppo, "policy_loss", lambda ratio, *_: ratio.detach())
-    log = train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--first-std", 7.4,
-                "--epochs", 3, "--learning-rate", 0)
-    assert len(torch.cat(ratios)) == 300
-    assert (torch.cat(ratios) - 1).abs().max() < 1e-9
-    assert (log[["clip_fraction", "kl"]] == 0).all(axis=None)
-
-
-def test_the_density_that_acted_is_the_one_that_learns(monkeypatch):
-    """The stored actions were drawn from N(μ(s), σ²), before squashing, each with its own noise."""
-    rollouts = spy_rollouts(monkeypatch, ppo)
-    train(monkeypatch, ppo, "--env-id", "harness:Uneven-v0", *SIZES, "--rollout-steps", 250,
-          "--first-std", 2.7)
-    player, batch, _ = rollouts[0]
-    noise = (batch.actions - player.actor(player.obs_stats.normalise(batch.obs))) / 2.7
-    assert abs(noise.mean()) < 6 / math.sqrt(2000)  # six standard errors, as below
-    assert abs(noise.std() - 1) < 6 / math.sqrt(4000)
-    assert len(noise.unique()) == 2000
-
-
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
 def test_tanh_takes_actions_to_the_bounds_and_never_beyond(dtype):
     space = gym.spaces.Box(ACTIONS.low.astype(dtype), ACTIONS.high.astype(dtype), dtype=dtype)

@@ -10,7 +10,6 @@ from harness import ACTIONS, SEED, spy_rollouts, train
 import ppo_continuous as ppo
 
 
-
 def play(script, name):
     envs = script.envs(script.world(name), 4, autoreset_mode="Disabled")
     obs, _ = envs.reset(seed=script.module.make_seeds(SEED, 2, 4))
