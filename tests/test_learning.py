@@ -1,4 +1,4 @@
-"""What agents learn: the best action, a way home, and to balance a pole; bars that any seed meets."""
+"""What agents learn: the best action, a way home, to balance a pole; bars that any seed meets."""
 
 import pytest
 from gymnasium.spaces import Box

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import SCRIPTS
-from harness import ACTIONS, spy, spy_rollouts, train
-from test_gae import gae_by_hand
+from harness import ACTIONS, spy, train
 from torch.distributions import Normal, kl_divergence
 
 import ppo_continuous as ppo
@@ -111,44 +110,6 @@ def test_each_step_of_an_update_follows_the_gradient_written_out(size):
             torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-7)
     assert metrics == pytest.approx(expected_metrics)  # of the last one
     assert 0 < metrics["clip_fraction"] < 1
-
-
-@pytest.mark.parametrize("world", ["Uneven", "Forever"])
-def test_an_update_gets_the_estimates_of_the_agent_that_played(world, monkeypatch):
-    """Advantages, targets, μ_old and log π_old, from the definitions, as constants; options.
-
-    The log has what `optimise` returned, and how well the agent that played predicted targets.
-    """
-    rollouts = spy_rollouts(monkeypatch, ppo, lambda _, batch: (
-        batch._replace(rewards=torch.randn(batch.rewards.shape))))
-    monkeypatch.setattr(ppo, "scale_rewards", lambda rewards, done, *_: (3 * rewards, None))
-    updates, original = [], ppo.optimise
-
-    def watched(agent, optimizer, samples, **options):
-        learner = copy.deepcopy(agent)
-        metrics = original(agent, optimizer, samples, **options)
-        updates.append((learner, samples, options, dict(metrics)))
-        return metrics
-
-    monkeypatch.setattr(ppo, "optimise", watched)
-    log = train(monkeypatch, ppo, "--env-id", f"harness:{world}-v0", *SIZES, "--total-steps", 300,
-                "--gamma", 0.9, "--gae-lambda", 0.7, "--epochs", 3, "--clip-eps", 0.05)
-    assert len(rollouts) == 3
-    for (player, batch, _), (learner, samples, options, metrics), (_, row) in zip(
-            rollouts, updates, log.iterrows(), strict=True):
-        assert options == {"epochs": 3, "minibatch_size": 34, "clip_eps": 0.05, "max_kl": 1e9}
-        torch.testing.assert_close(player.state_dict(), learner.state_dict(), rtol=0, atol=0)
-        with torch.no_grad():
-            V, next_V = player.value(batch.obs), player.value(batch.next_obs)
-            policy = player.policy(batch.obs)
-        A = gae_by_hand(3 * batch.rewards, V, next_V, batch.terminated, batch.done, 0.9, 0.7)
-        log_probs = policy.log_prob(batch.actions).sum(-1)
-        expected = batch.obs, batch.actions, policy.mean, log_probs, A, A + V
-        for x, y in zip(samples, expected, strict=True):
-            assert not x.requires_grad
-            torch.testing.assert_close(x, y.flatten(0, 1).to(x.dtype))
-        metrics["explained_variance"] = 1 - (A.var() / (A + V).var()).item()
-        assert dict(row[list(metrics)]) == pytest.approx(metrics)
 
 
 @pytest.mark.parametrize(("count", "size", "steps"), [

@@ -1,5 +1,6 @@
 """Each option reaches its place, and the log says what happened: one training of odd numbers."""
 
+import functools
 import inspect
 import sys
 import time
@@ -24,7 +25,7 @@ class Slow(Uneven):
 
 register("Slow", Slow)
 ALL = ("--seed 7 --total-steps 100 --num-evals 3 --eval-episodes 5 --hidden-size 23 --gamma 0.831"
-       " --learning-rate 0.00313 --out-dir odd/place")
+       " --learning-rate 0.00313 --out-dir ~/odd")
 SLOW = f"{ALL} --env-id test_wiring:Slow-v0"
 VECTOR = "--num-envs 4 --rollout-steps 6 --gae-lambda 0.617"
 ODD = {  # no two numbers are alike, and none is the default
@@ -65,20 +66,21 @@ def spy_on_all(patch, module):
     return calls
 
 
-TRAINED = {}
+@pytest.fixture(scope="session")
+def trainings(tmp_path_factory):
+    return functools.cache(lambda script: train_odd(script, tmp_path_factory.mktemp(script.name)))
 
 
 @pytest.fixture
-def seen(script, tmp_path_factory):
-    """What all functions got in a training with the odd options, its log, and how long it took."""
-    if script.name not in TRAINED:
-        TRAINED[script.name] = train_odd(script, tmp_path_factory.mktemp(script.name))
-    return TRAINED[script.name]
+def seen(script, trainings):
+    return trainings(script)
 
 
 def train_odd(script, cwd):
+    """What all functions got in a training with the odd options, its log, and how long it took."""
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(cwd)
+        patch.setenv("HOME", str(cwd))
         patch.setattr("sys.path", sys.path[:])
         patch.setattr("sys.argv", [script.file, *ODD[script.name].split()])
         args = script.args(*ODD[script.name].split())
@@ -130,7 +132,7 @@ CHECKS = {
     "env_id": lambda x: {call.result.spec.id for call in x.make_envs} == {
         x.args.env_id.removeprefix("test_wiring:")},
     "watch": lambda x: not x.watch,  # and see below
-    "out_dir": lambda x: x.path.parents[1] == x.cwd / "odd" / "place",
+    "out_dir": lambda x: x.path.parents[1] == x.cwd / "odd",
     "num_evals": lambda x: len(x.save) == len(x.evaluate) == 4 and due(x) == (
         x.log.dropna(subset="eval_return")["env_step"].tolist()),
     "eval_episodes": lambda x: {call.envs.num_envs for call in x.evaluate} == {5},
