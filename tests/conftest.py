@@ -1,5 +1,6 @@
 """Fixtures that several test files share: the three scripts, and a finished run of each."""
 
+import functools
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from harness import SEED, STRICT, run, run_folder
+from harness import SEED, STRICT, run
 
 import a2c_vector
 import ppo_continuous
@@ -32,8 +33,7 @@ class Script(NamedTuple):
 
     @property
     def small(self):
-        return [*self.sizes.split(), "--total-steps", "512", "--num-evals", "4",
-                "--eval-episodes", "2"]
+        return f"{self.sizes} --total-steps 512 --num-evals 4 --eval-episodes 2".split()
 
     def world(self, name, place="harness"):
         return f"{place}:{self.worlds}{name}-v0"
@@ -78,34 +78,42 @@ def only(*names):
     return pytest.mark.parametrize("script", names, indirect=True)
 
 
+both = only("a2c_vector", "ppo_continuous")
+
+
 @pytest.fixture(autouse=True)
 def fixed_seed():
     torch.manual_seed(SEED)
     np.random.seed(SEED)
 
 
-class Runs(dict):
-    """Of a script: where it was started, and the process of a run of two seeds, once asked for."""
-
-    def __init__(self, make_folder):
-        self.make_folder = make_folder
-
-    def __missing__(self, name):
-        script, cwd = SCRIPTS[name], self.make_folder(name)
-        arguments = ["--env-id", script.env_id, *script.small, "--seed", *script.seeds]
-        self[name] = cwd, run(script.file, *arguments, cwd=cwd, python=STRICT)  # warnings end it
-        return self[name]
+@pytest.fixture
+def float64(monkeypatch):
+    """The scripts compute in float64, so that rounding decides nothing."""
+    monkeypatch.setattr(torch.Tensor, "float", torch.Tensor.double)
+    usual = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    yield
+    torch.set_default_dtype(usual)
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory):
-    return Runs(tmp_path_factory.mktemp)
+def finished(tmp_path_factory):
+    """finished(script): a run of two seeds: where it was started, and its process."""
+    @functools.cache
+    def finished(script):
+        cwd = tmp_path_factory.mktemp(script.name)
+        arguments = ["--env-id", script.env_id, *script.small, "--seed", *script.seeds]
+        return cwd, run(script.file, *arguments, cwd=cwd, python=STRICT)  # warnings end it
+
+    return finished
 
 
 @pytest.fixture
-def folder(script, runs):
+def folder(script, finished):
     """The folder of the finished run."""
-    return run_folder(runs[script.name][0])
+    (folder,) = (finished(script)[0] / "runs").iterdir()
+    return folder
 
 
 @pytest.fixture
@@ -113,7 +121,6 @@ def call(monkeypatch, tmp_path, capsys):
     """call(script, *arguments): its main, in this process and an empty folder; what it prints."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
-    monkeypatch.setattr(sys, "excepthook", sys.excepthook)
 
     def call(script, *arguments):
         monkeypatch.setattr(sys, "argv", [script.file, *map(str, arguments)])

@@ -31,11 +31,10 @@ def start(script, *arguments, cwd, python=(), own_group=False):
     hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
     env = {name: value for name, value in os.environ.items() if name not in hidden}
     env |= {"PYTHONPATH": str(TESTS), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, *python, str(ROOT / script), *map(str, arguments)]
     return subprocess.Popen(
-        command, cwd=cwd, env=env, text=True, encoding="utf-8", start_new_session=own_group,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )
+        [sys.executable, *python, str(ROOT / script), *map(str, arguments)],
+        cwd=cwd, env=env, encoding="utf-8", start_new_session=own_group,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 def run(script, *arguments, cwd, status=0, **options):
@@ -44,11 +43,6 @@ def run(script, *arguments, cwd, status=0, **options):
     process.out, process.err = process.communicate(timeout=170)
     assert process.returncode == status, process.err
     return process
-
-
-def run_folder(cwd):
-    (folder,) = Path(cwd, "runs").iterdir()
-    return folder
 
 
 def read_log(path):
@@ -147,13 +141,6 @@ class Target(World):
         return -float(np.square(action - TARGET).sum())
 
 
-class Sign(World):
-    """One step; the best action is 0 where the first number shown is negative, else 2."""
-
-    def reward(self, action):
-        return float(action == (0 if self.episode < 0 else 2))
-
-
 class Uneven(World):
     """Episodes of 3 steps, of 7 if its first number is positive; the action is the reward."""
 
@@ -177,8 +164,5 @@ def register(name, world=World, limit=None, **kwargs):
 register("ThreeSteps")
 register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
-timeless = type("Timeless", (World,), {"observe": lambda self: np.float32([self.episode, 0])})
-register("Timeless", timeless, limit=8, length=None)  # does not show when its episodes end
 register("Target", Target, length=1)
-register("Sign", Sign, length=1)
 register("Uneven", Uneven)

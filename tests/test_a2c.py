@@ -8,96 +8,33 @@ import pandas as pd
 import pytest
 import torch
 from conftest import SCRIPTS
-from harness import read_log, spy, spy_rollouts, train
-from test_gae import float64, gae_by_hand  # noqa: F401
+from harness import read_log
 
 import a2c_vector as a2c
 
-SIZES = ["--num-envs", 4, "--rollout-steps", 25, "--total-steps", 100]
-
-
-def rough(agent, batch):
-    """A new agent finds all actions alike and normalises nothing, which would hide mistakes."""
-    if agent.obs_stats.count == 0:  # in its first update
-        agent.actor[-1].weight.data *= 300
-        agent.obs_stats.update(2 * torch.randn(1000, 2) + 1)
-    return batch._replace(rewards=torch.randn(batch.rewards.shape))
-
-
-def by_hand(args, agent, batch, length, terminates):
-    """Gradients and diagnostics of the loss that a2c_vector.py states, from the definitions.
-
-    Whether an episode has ended is read off what the world shows: its steps so far.
-    """
-    mean, std = agent.obs_stats.mean, agent.obs_stats.var.sqrt()
-    states, next_states = (((x - mean) / std).float() for x in (batch.obs, batch.next_obs))
-    values = agent.critic(states).squeeze(-1)
-    V, next_V = values.detach(), agent.critic(next_states).squeeze(-1).detach()  # constants
-    done = batch.next_obs[..., 1] == length
-    A = gae_by_hand(args.reward_scale * batch.rewards, V, next_V, done & terminates, done,
-                    args.gamma, args.gae_lambda)
-    targets = A + V
-    explained_variance = 1 - (targets - values).var() / targets.var()
-    A = (A - A.mean()) / A.std(correction=0)
-    probs = agent.actor(states).softmax(-1)
-    log_pi = probs.gather(-1, batch.actions.unsqueeze(-1)).squeeze(-1).log()
-    entropy = -(probs * probs.log()).sum(-1).mean()
-    loss_pi = -(A * log_pi).mean()
-    loss_v = (values - targets).square().mean() / 2
-    actor, critic = (
-        torch.autograd.grad(loss, list(network.parameters())) for loss, network in (
-            (loss_pi - args.entropy_coef * entropy, agent.actor), (loss_v, agent.critic)))
-    return [*actor, *critic], {"value_loss": loss_v.item(), "entropy": entropy.item(),
-                               "explained_variance": explained_variance.item()}
-
 
 @pytest.mark.usefixtures("float64")
-@pytest.mark.parametrize("rollout_steps", [1, 25])
-@pytest.mark.parametrize(("world", "length", "terminates"), [
-    ("DiscreteThreeSteps", 3, True), ("DiscreteForever", 8, False), ("DiscreteBothEnds", 3, True)])
-def test_an_update_follows_the_gradient_written_out(
-        world, length, terminates, rollout_steps, monkeypatch):
-    """In particular, none goes through a bootstrap value, a target or an advantage.
-
-    Several updates in a row; in the last one episodes end, also if it is of a single step.
-    """
-    rollouts = spy_rollouts(monkeypatch, a2c, rough)
-    options = ["--env-id", f"harness:{world}-v0", *SIZES, "--rollout-steps", rollout_steps,
-               "--total-steps", 480, "--max-grad-norm", 1e9, "--gamma", 0.9, "--gae-lambda", 0.7,
-               "--entropy-coef", 0.3, "--reward-scale", 0.5]
-    last = train(monkeypatch, a2c, *options).iloc[-1]
-    args = a2c.parse_args([str(x) for x in options])
-    args.entropy_coef *= 1 - (last["env_step"] - 4 * rollout_steps) / args.total_steps
-    assert len(rollouts) == np.ceil(120 / rollout_steps)
-    player, batch, agent = rollouts[-1]
-    gradients, expected = by_hand(args, player, batch, length, terminates)
-    parameters = [*agent.actor.parameters(), *agent.critic.parameters()]
-    assert len(parameters) == len(gradients) == len(list(agent.parameters()))
+def test_an_update_follows_the_gradient_written_out():
+    """Two in a row, at learning rate 0, so that a sum of gradients would be seen."""
+    agent = SCRIPTS["a2c_vector"].agent("harness:DiscreteThreeSteps-v0")
+    obs, actions = 2 * torch.randn(25, 4, 2) + 1, torch.randint(3, (25, 4))
+    advantages, targets = torch.randn(2, 25, 4) + 1
+    agent.actor[-1].weight.data *= 300  # a new agent finds all actions alike
+    agent.obs_stats.update(obs)
+    optimizer, parameters = torch.optim.SGD(agent.parameters(), lr=0), list(agent.parameters())
+    for _ in range(2):
+        metrics = a2c.optimise(agent, optimizer, obs, actions, advantages, targets,
+                               entropy_coef=0.3, max_grad_norm=1e9)
+    states = (obs - obs.mean((0, 1))) / obs.std((0, 1), correction=0)
+    A = (advantages - advantages.mean()) / advantages.std(correction=0)
+    probs = agent.actor(states).softmax(-1)
+    log_pi = probs.gather(-1, actions.unsqueeze(-1)).squeeze(-1).log()
+    entropy = -(probs * probs.log()).sum(-1).mean()
+    loss_v = (agent.critic(states).squeeze(-1) - targets).square().mean() / 2
+    gradients = torch.autograd.grad(-(A * log_pi).mean() + loss_v - 0.3 * entropy, parameters)
     for parameter, gradient in zip(parameters, gradients):
         torch.testing.assert_close(parameter.grad, gradient, rtol=1e-4, atol=1e-7)
-    assert dict(last[list(expected)]) == pytest.approx(expected)
-
-
-def test_longer_gradients_are_shortened_network_by_network(monkeypatch):
-    rollouts = spy_rollouts(monkeypatch, a2c)
-    train(monkeypatch, a2c, "--env-id", "harness:DiscreteThreeSteps-v0", *SIZES,
-          "--max-grad-norm", 1e-3)
-    for network in rollouts[-1][2].actor, rollouts[-1][2].critic:
-        gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
-        assert gradient.norm().item() == pytest.approx(1e-3, rel=1e-2)
-
-
-def test_the_policy_that_learns_is_the_one_that_acts():
-    """Actions are as frequent as the log-probabilities say."""
-    agent = SCRIPTS["a2c_vector"].agent("harness:DiscreteThreeSteps-v0")
-    agent.actor[-1].bias.data = torch.tensor([0.1, 0.3, 0.6]).log()
-    obs = np.float32([[1, 2]])
-    actions = agent.act(np.repeat(obs, 20_000, axis=0))
-    log_probs = agent.policy(torch.tensor(obs)).log_prob(torch.arange(3)).detach()
-    probs = log_probs.exp().numpy()
-    np.testing.assert_allclose(probs, [0.1, 0.3, 0.6], atol=0.05)
-    chance = 6 * np.sqrt(probs * (1 - probs) / 20_000)  # six standard errors: once in 10⁹ times
-    assert (abs(np.bincount(actions) / 20_000 - probs) < chance).all()
+    assert metrics == pytest.approx({"value_loss": loss_v.item(), "entropy": entropy.item()})
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")  # of Python 3.12
@@ -105,18 +42,15 @@ def test_the_policy_that_learns_is_the_one_that_acts():
     (None, 4), pytest.param("spawn", 1, marks=pytest.mark.slow)])
 def test_environments_in_processes_change_no_number(start_method, count, tmp_path, monkeypatch):
     """Started as usual here, or spawned as on other systems, which takes seconds for each."""
-    kinds = spy(monkeypatch, a2c, "rollout", lambda envs, *_: type(envs.unwrapped))
     context = multiprocessing.get_context(start_method)
     monkeypatch.setattr(multiprocessing, "get_context", lambda *_: context)
     sync, async_ = (
         SCRIPTS["a2c_vector"].train(tmp_path / kind, "--vectorization", kind, "--num-envs", count)
         for kind in ("sync", "async"))
-    assert set(kinds) == {gym.vector.SyncVectorEnv, gym.vector.AsyncVectorEnv}
     pd.testing.assert_frame_equal(
         read_log(f"{sync}.csv"), read_log(f"{async_}.csv"), check_exact=True)
 
 
-LANDER = "LunarLander-v3"
 NAMES = "gravity", "wind_power", "turbulence_power"
 PHYSICS = *NAMES, "enable_wind"
 
@@ -140,35 +74,23 @@ def draw_physics(vectorization):
     return drawn
 
 
-def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_the_ground():
-    """In 800 episodes; a correlation of 0.22 is six standard errors, so is a tenth of wind."""
-    env, drawn = a2c.RandomPhysics(gym.make(LANDER)), []
-    for seed in torch.randint(2**31, (800,)).tolist():
+def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_the_environment_s_draws():
+    """In 400 episodes; a correlation of 0.3 is six standard errors, so are 0.15 of wind."""
+    env, drawn = a2c.RandomPhysics(gym.make("LunarLander-v3")), []
+    for seed in torch.randint(2**31, (400,)).tolist():
         env.reset(seed=seed)
-        ground = [corners[0][1] for corners in env.unwrapped.sky_polys]
-        drawn.append({**physics_in_force(env), "ground": ground[0], "hill": ground[2]})
+        own = np.random.default_rng(seed).random(8)
+        drawn.append({**physics_in_force(env), **dict(enumerate(own))})
     drawn = pd.DataFrame(drawn).astype(float)
     for name, low, high in zip(NAMES, (-11.99, 0, 0), (-7, 20, 2)):
         margin = 0.05 * (high - low)
         assert low <= drawn[name].min() < low + margin, f"{name} is never near {low}"
         assert high >= drawn[name].max() > high - margin, f"{name} is never near {high}"
-    assert 0.39 < drawn["enable_wind"].mean() < 0.61, "there should be wind in half of all episodes"
-    assert abs(drawn["enable_wind"].autocorr()) < 0.22, "wind is not drawn, but comes in turns"
+    assert 0.35 < drawn["enable_wind"].mean() < 0.65, "there should be wind in half of all episodes"
+    assert abs(drawn["enable_wind"].autocorr()) < 0.3, "wind is not drawn, but comes in turns"
     for name in PHYSICS:
         others = drawn.corr()[name].drop(name).abs()
-        assert others.max() < 0.22, f"{name} depends on {others.idxmax()}: how are they drawn?"
-
-
-def test_physics_come_from_a_generator_that_no_environment_can_have():
-    """An environment's own is default_rng(n). One with an n near its seed would show here."""
-    env, gravities = a2c.RandomPhysics(gym.make(LANDER)), []
-    for seed in range(3):
-        env.reset(seed=seed)
-        gravities.append(env.unwrapped.gravity)
-    first = np.array([np.random.default_rng(n).random(8) for n in range(5000)])
-    for seed, gravity in enumerate(gravities):
-        n, _ = np.nonzero(abs(-11.99 + 4.99 * first - gravity) < 1e-11)
-        assert not n.size, f"seed {seed}: the physics come from default_rng({n[0]})"
+        assert others.max() < 0.3, f"{name} depends on {others.idxmax()}: how are they drawn?"
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -177,20 +99,6 @@ def test_physics_differ_between_environments_episodes_and_seeds_and_repeat_with_
     first, second, other_first, other_second, again, again_second = draw_physics("sync")
     assert draw_physics("async")[:2] == [first, second]
     assert [first, second] == [again, again_second]
-    drawn = [values for episode in (first, second, other_first, other_second) for values in episode]
-    assert len(drawn) == 8
+    drawn = first + second + other_first + other_second
     for values in [*zip(*drawn)][:3]:  # gravity, wind power, turbulence
-        assert len(set(values)) == 8
-
-
-@pytest.mark.parametrize("randomize", [True, False])
-def test_randomize_is_for_training_and_evaluation(randomize, tmp_path, monkeypatch):
-    def look(envs):
-        return [physics_in_force(env) for env in envs.unwrapped.envs]
-
-    trained = spy(monkeypatch, a2c, "rollout", lambda envs, *_: look(envs))
-    evaluated = spy(monkeypatch, a2c, "evaluate", lambda agent, envs, _: look(envs))
-    SCRIPTS["a2c_vector"].train(tmp_path, *["--randomize"] * randomize, env_id=LANDER)
-    usual = physics_in_force(gym.make(LANDER))
-    for physics in (*trained[0], *evaluated[-1]):  # each after a reset
-        assert (physics == usual) != randomize
+        assert len(set(values)) == len(values) == 8

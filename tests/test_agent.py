@@ -1,9 +1,8 @@
-"""Networks as they are when training begins, and what falls in its course."""
+"""Networks as they are when training begins, and actions that are drawn from the policy."""
 
 import numpy as np
 import pytest
 import torch
-from harness import spy, train
 from torch import nn
 
 
@@ -19,29 +18,18 @@ def test_weights_are_orthogonal_with_their_gains_and_biases_zero(script, network
         assert (layer.bias == 0).all()
 
 
-SIZES = "--num-envs 4 --rollout-steps 3"
-
-
-@pytest.mark.parametrize(("script", "options", "other", "first", "last"), [
-    ("reinforce_mujoco", "--batch-episodes 4", lambda agent, **_: 0, 0, 0),
-    ("a2c_vector", f"{SIZES} --entropy-coef 0.5",
-     lambda agent, entropy_coef, **_: entropy_coef, 0.5, 0),
-    ("ppo_continuous", f"{SIZES} --first-std 0.9 --last-std 0.2",
-     lambda agent, **_: agent.policy(torch.zeros(2)).stddev[0].item(), 0.9, 0.2)],
-    indirect=["script"])
-def test_the_learning_rate_the_entropy_bonus_and_sigma_fall_in_a_straight_line(
-        script, options, other, first, last, monkeypatch):
-    """In updates of 12 steps, until 30 are reached."""
-    def look(agent, optimizer, *_, **options):
-        (group,) = optimizer.param_groups
-        assert set(group["params"]) == set(agent.parameters())
-        assert group["eps"] == (1e-5 if script.name == "a2c_vector" else 1e-8)
-        return group["lr"], other(agent, **options)
-
-    seen = spy(monkeypatch, script.module, "optimise", look)
-    log = train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"),
-                *options.split(), "--learning-rate", 0.02, "--total-steps", 30)
-    assert log["env_step"].tolist() == [12, 24, 36]
-    remaining = np.array([1, 0.6, 0.2])
-    expected = 0.02 * remaining, last + (first - last) * remaining
-    np.testing.assert_allclose(seen, np.transpose(expected), rtol=1e-5)
+@torch.no_grad()
+def test_the_policy_that_learns_is_the_one_that_acts(script):
+    """Six standard errors are allowed, which chance misses once in 10⁹ times."""
+    agent, count = script.agent(script.world("ThreeSteps")), 20_000
+    agent.actor[-1].bias.data = torch.linspace(-1.5, 0.5, len(agent.actor[-1].bias))
+    obs = np.float32([[1, 2]]).repeat(count, axis=0)
+    actions, policy = torch.tensor(agent.act(obs)), agent.policy(torch.tensor(obs[:1]))
+    if script.name == "a2c_vector":
+        probs = policy.log_prob(torch.arange(3)).exp()
+        chance = 6 * (probs * (1 - probs) / count).sqrt()
+        assert ((actions.bincount() / count - probs).abs() < chance).all()
+    else:
+        noise = (actions - policy.mean) / policy.stddev
+        assert noise.mean(0).abs().max() < 6 / count**0.5
+        torch.testing.assert_close(noise.T.cov(), torch.eye(2), rtol=0, atol=6 * (2 / count)**0.5)

@@ -1,22 +1,14 @@
 """What A2C and PPO make of a rollout before they learn from it, against definitions."""
 
+import copy
+
 import numpy as np
 import pytest
 import torch
-from conftest import only
+from conftest import both
 from harness import spy_rollouts, train
 
 from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
-
-
-@pytest.fixture
-def float64(monkeypatch):
-    """The scripts compute in float64, so that rounding decides nothing. For other files, too."""
-    monkeypatch.setattr(torch.Tensor, "float", torch.Tensor.double)
-    usual = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float64)
-    yield
-    torch.set_default_dtype(usual)
 
 
 def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -74,7 +66,7 @@ def test_a_dimension_that_has_never_changed_is_0_and_may_jump(constant):
     assert stats.normalise(jumps).flatten().tolist() == [-10, 10]
 
 
-@only("a2c_vector", "ppo_continuous")
+@both
 def test_training_keeps_statistics_of_all_observations_before_the_present_rollout(
         script, monkeypatch):
     rollouts = spy_rollouts(monkeypatch, script.module)
@@ -111,3 +103,49 @@ def test_rewards_whose_sums_do_not_vary_stay_as_they_are(reward):
     for _ in range(3):
         scaled, past_rewards = scale_rewards(rewards, done, past_rewards, stats, 0.9)
         torch.testing.assert_close(scaled, rewards.float())
+
+
+@both
+@pytest.mark.usefixtures("float64")
+@pytest.mark.parametrize("rollout_steps", [1, 25])
+@pytest.mark.parametrize("world", ["Uneven", "Forever", "BothEnds"])
+def test_an_update_gets_the_estimates_of_the_agent_that_played(
+        script, world, rollout_steps, monkeypatch):
+    """Advantages and targets, in PPO also μ_old and log π_old, from definitions, as constants.
+
+    The log has what `optimise` returned, and how well the agent that played predicted targets.
+    """
+    options, updates, optimise = ["--reward-scale", 3], [], script.module.optimise
+    if script.name == "ppo_continuous":
+        options = []
+        monkeypatch.setattr(script.module, "scale_rewards", lambda r, done, *_: (3 * r, None))
+
+    def watched(agent, optimizer, *samples, **options):
+        learner = copy.deepcopy(agent)
+        metrics = optimise(agent, optimizer, *samples, **options)
+        updates.append((learner, samples, dict(metrics)))
+        return metrics
+
+    monkeypatch.setattr(script.module, "optimise", watched)
+    rollouts = spy_rollouts(monkeypatch, script.module, lambda _, batch: (
+        batch._replace(rewards=torch.randn(batch.rewards.shape))))
+    log = train(monkeypatch, script.module, "--env-id", script.world(world), "--num-envs", 4,
+                "--rollout-steps", rollout_steps, "--total-steps", 12 * rollout_steps,
+                "--gamma", 0.9, "--gae-lambda", 0.7, *options)
+    assert len(rollouts) == 3
+    for (player, batch, _), (learner, samples, metrics), (_, row) in zip(
+            rollouts, updates, log.iterrows(), strict=True):
+        torch.testing.assert_close(player.state_dict(), learner.state_dict(), rtol=0, atol=0)
+        with torch.no_grad():
+            V, next_V = player.value(batch.obs), player.value(batch.next_obs)
+            policy = player.policy(batch.obs)
+        A = gae_by_hand(3 * batch.rewards, V, next_V, batch.terminated, batch.done, 0.9, 0.7)
+        expected = batch.obs, batch.actions, A, A + V
+        if script.name == "ppo_continuous":
+            samples, log_probs = samples[0], policy.log_prob(batch.actions).sum(-1)
+            expected = batch.obs, batch.actions, policy.mean, log_probs, A, A + V
+        for x, y in zip(samples, expected, strict=True):
+            assert not x.requires_grad
+            torch.testing.assert_close(x, y.reshape(x.shape).to(x.dtype))
+        metrics["explained_variance"] = 1 - (A.var() / (A + V).var()).item()
+        assert dict(row[list(metrics)]) == pytest.approx(metrics)

@@ -31,29 +31,6 @@ def test_functions_of_the_same_name_have_the_same_text_in_these_files():
     assert {name: groups for name, groups in found.items() if len(groups) > 1} == SHARED
 
 
-def part(file, first, last=None, without=()):
-    """The lines of `train` from one that begins with `first` up to one with `last`."""
-    lines = [line.strip() for line in functions(TEXTS[file])["train"].splitlines()]
-    (start,) = (i for i, line in enumerate(lines) if line.startswith(first))
-    (end,) = (i for i, line in enumerate(lines) if line.startswith(last)) if last else [None]
-    return [line for line in lines[start:end] if not line.startswith(tuple(without))]
-
-
-def test_what_trainings_have_in_common_has_one_text():
-    """Their beginning; in A2C and PPO all but annealing, the reward scale and the update."""
-    def same(*places, files=("a2c_vector", "ppo_continuous"), **options):
-        first, *others = (part(file, *places, **options) for file in files)
-        assert len(first) > 1
-        assert all(first == other for other in others)
-
-    same("def train(", "with (", files=SCRIPTS)
-    same("weights =", files=SCRIPTS, without=("env_step +=", '"return"'))
-    same("# 2.", "# 3.")
-    same("log, env_step", "# 1.")
-    same("# 6.")
-    same("advantages = ", "# 5.")
-
-
 def test_requirements_txt_is_what_the_scripts_ask_for_and_what_tests_and_experiments_need():
     listed = (ROOT / "requirements.txt").read_text().splitlines()
     listed = {line for line in listed if line and not line.startswith("#")}
