@@ -82,18 +82,18 @@ class Agent(nn.Module):
 
     def policy(self, obs):
         """Observations (…, D) -> π(·|s): a Gaussian for each of the K numbers of an action."""
-        mean, raw_std = self.actor(obs).chunk(2, dim=-1)
+        mean, raw_std = self.actor(obs.float()).chunk(2, dim=-1)
         std = nn.functional.softplus(raw_std) + 0.1  # at least 0.1, so that it keeps exploring
         return torch.distributions.Normal(mean, std)
 
     def value(self, obs):
         """Observations (…, D) -> V(s) (…,)."""
-        return self.critic(obs).squeeze(-1)
+        return self.critic(obs.float()).squeeze(-1)
 
     @torch.no_grad()
     def act(self, obs, deterministic=False):
         """NumPy observations (…, D) -> NumPy actions (…, K): drawn from π, or its mean."""
-        policy = self.policy(torch.tensor(np.float32(obs)))
+        policy = self.policy(torch.tensor(np.array(obs, float)))
         return (policy.mean if deterministic else policy.sample()).numpy()
 
 
@@ -123,9 +123,9 @@ def play(env, agent):
         actions.append(agent.act(obs))
         obs, reward, terminated, truncated, _ = env.step(actions[-1])
         rewards.append(reward)
-    last_value = 0.0 if terminated else agent.value(torch.tensor(np.float32(obs))).item()
-    all_obs, actions = (torch.tensor(np.float32(x)) for x in (all_obs, actions))
-    return all_obs, actions, rewards, last_value
+    last_value = 0.0 if terminated else agent.value(torch.tensor(np.array(obs, float))).item()
+    all_obs = torch.tensor(np.array(all_obs, float))
+    return all_obs, torch.tensor(np.array(actions)), rewards, last_value
 
 
 def compute_rewards_to_go(rewards, last_value, gamma):
