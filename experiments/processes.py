@@ -3,7 +3,6 @@
 Nothing else may run; some five minutes on two cores.
 """
 
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -19,20 +18,18 @@ from study import A2C, PPO, Job, number
 
 TOGETHER = "experiments/together.py"
 TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
-TIMES, KINDS = (0.03, 0.1, 0.2, 0.3, 0.5, 1.0), {"sync": "one process", "async": "a process each"}
-TASKS = [f"--env-id {task}-v5 --total-steps 40960" for task in ("HalfCheetah", "Humanoid")]
-NUM_ENVS = {PPO: 16, TOGETHER: 8}  # in each process
+TIMES, TASKS = (0.03, 0.1, 0.2, 0.3, 0.5, 1.0), ("HalfCheetah-v5", "Humanoid-v5")
 STEPS = {(ms, kind): f"--env-id Busy{ms}-v0 --vectorization {kind}"
-         for ms in TIMES for kind in KINDS}
-RUNS = {(task, script): f"{task} --num-envs {count} --num-evals 1 --eval-episodes 1"
-        for task in TASKS for script, count in NUM_ENVS.items()}
+         for ms in TIMES for kind in speed.KINDS}
+RUNS = {(task, script): f"--env-id {task} --total-steps 40960 --num-envs {count} --num-evals 1 "
+        "--eval-episodes 1" for task in TASKS for script, count in ((PPO, 16), (TOGETHER, 8))}
 JOBS = [*(Job(A2C, options) for options in STEPS.values()),
         *(Job(script, options, seed=repetition) for repetition in range(1, 6)
           for (_, script), options in RUNS.items())]
 
 
 class Busy(gym.Env):
-    """Each step computes for a given time."""
+    """Each step computes for `ms` milliseconds."""
 
     observation_space = gym.spaces.Box(-1.0, 1.0, (8,))
     action_space = gym.spaces.Discrete(4)
@@ -58,7 +55,7 @@ for ms in TIMES:
 def measure(job):
     if job.script == A2C:
         speeds = [speed.stepping_speed(*study.load(job), 300) for _ in range(3)]
-        return [{"speed": statistics.median(speeds)}]
+        return [{"speed": np.median(speeds)}]
     command = TORCHRUN if job.script == TOGETHER else ()
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, *command, study.ROOT / job.script, *job.options.split(),
@@ -70,14 +67,13 @@ def measure(job):
 
 def draw(rows):
     speeds = rows.groupby("options")["speed"].median()
-    steps = [[name, *(f"{8000 / speeds[STEPS[ms, kind]]:.2f}" for ms in TIMES)]
-             for kind, name in KINDS.items()]
-    runs = []
-    for task in TASKS:
-        one, two = speeds[RUNS[task, PPO]], speeds[RUNS[task, TOGETHER]]
-        runs.append([task.split()[1], number(one), number(two), f"{two / one:.1f}"])
-    return {"processes": study.table(["ms for 8 environments, if a step takes", *TIMES], steps),
-            "together": study.table(["PPO, steps a second", "one process", "two", "ratio"], runs)}
+    steps = [[ms, *(f"{8000 / speeds[STEPS[ms, kind]]:.2f}" for kind in speed.KINDS)]
+             for ms in TIMES]
+    runs = {task: [speeds[RUNS[task, script]] for script in (PPO, TOGETHER)] for task in TASKS}
+    return {"processes": study.table(["ms a step", *speed.KINDS.values()], steps),
+            "together": study.table(["PPO, steps a second", "one process", "two", "ratio"], [
+                [task, number(one), number(two), f"{two / one:.1f}"]
+                for task, (one, two) in runs.items()])}
 
 
 if __name__ == "__main__":

@@ -1,25 +1,27 @@
-"""How many steps a second, against stable-baselines3 and against stepping alone?
+"""How many steps a second, against others and against stepping alone?
 
 And A2C with one to 32 environments, in one process or in a process each. Five repetitions, in
-turns. Nothing else may run; some fifty minutes.
+turns; CleanRL takes part if CLEANRL is the path of its file. Nothing else may run; fifty minutes.
 """
 
 import time
 
+import pandas as pd
 import peers
 import study
 from study import A2C, PPO, REINFORCE, Job, number
 
-TASKS = {"HalfCheetah-v5": PPO, "Hopper-v5": PPO, "Walker2d-v5": PPO, "LunarLander-v3": A2C,
-         "InvertedPendulum-v5": REINFORCE}
-PEERS = {"stable-baselines3": ("defaults", {}), "eight environments": ("defaults", {"num_envs": 8}),
-         "our sizes": ("our sizes", {}), "its zoo's settings": ("zoo", {})}  # for `peers.make`
+PEERS = {"defaults": ("defaults", {}), "8 environments": ("defaults", {"num_envs": 8}),
+         "our sizes": ("our sizes", {}), "zoo": ("zoo", {})}  # for `peers.speed`
 COUNTS, KINDS = (1, 2, 4, 8, 16, 32), {"sync": "one process", "async": "a process each"}
-RACES = [(script, f"--env-id {task} --total-steps 32768") for task, script in TASKS.items()]
-CROWDS = {(kind, count): f"--num-envs {count} --vectorization {kind} --rollout-steps "
-          f"{512 // count} --total-steps 20480" for kind in KINDS for count in COUNTS}
-JOBS = [Job(script, options, seed=repetition) for repetition in range(1, 6)
-        for script, options in [*RACES, *((A2C, options) for options in CROWDS.values())]]
+RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, script in (
+    ("HalfCheetah-v5", PPO), ("Hopper-v5", PPO), ("Walker2d-v5", PPO), ("LunarLander-v3", A2C),
+    ("InvertedPendulum-v5", REINFORCE))}
+CROWDS = {(kind, count): Job(A2C, f"--num-envs {count} --vectorization {kind} --rollout-steps "
+                             f"{512 // count} --total-steps 20480")
+          for kind in KINDS for count in COUNTS}
+JOBS = [job._replace(seed=repetition) for repetition in range(1, 6)
+        for job in [*RACES.values(), *CROWDS.values()]]
 
 
 def our_speed(module, args):
@@ -45,38 +47,39 @@ def stepping_speed(module, args, count):
     return count * args.num_envs / seconds
 
 
-def peer_speed(args, setting, options):
-    model = peers.make(args.env_id, setting, args.seed[0], **options)
-    start = time.perf_counter()
-    model.learn(args.total_steps)
-    return model.num_timesteps / (time.perf_counter() - start)
-
-
 def measure(job):
     module, args = study.load(job)
     speeds = {"ours": our_speed(module, args)}
-    if job.script != REINFORCE and job[:2] in RACES:
+    if job.script != REINFORCE and args.env_id in job.options:
         speeds["stepping alone"] = stepping_speed(module, args, args.total_steps // args.num_envs)
-        speeds |= {name: peer_speed(args, *peer) for name, peer in PEERS.items()}
-    return [{"learner": name, "speed": speed} for name, speed in speeds.items()]
+        speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
+        if peers.CLEANRL and job.script == PPO:
+            speeds["CleanRL"] = peers.cleanrl_speed(args)
+    return [{"learner": learner, "speed": speed} for learner, speed in speeds.items()]
 
 
 def draw(rows):
     speeds = rows.groupby(["options", "learner", "seed"])["speed"].first().unstack("learner")
+    titles = {"stepping alone": "÷ stepping alone", "defaults": "÷ sb3, defaults",
+              "our sizes": "÷ sb3, our sizes", "CleanRL": "÷ CleanRL",
+              "8 environments": "÷ sb3, 8 environments", "zoo": "÷ sb3, zoo"}
     lines = []
-    for script, options in RACES:
-        of_task = speeds.loc[options]
-        ratios = of_task["ours"] / of_task[["stepping alone", *PEERS]].T
-        lines.append([f"`{script}`", options.split()[1], number(of_task["ours"].median()), *(
-            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if ratio.any() else ""
-            for _, ratio in ratios.iterrows())])
-    header = ["script", "task", "steps a second", "÷ stepping alone", "÷ sb3, defaults",
-              "÷ sb3, 8 environments", "÷ sb3, our sizes", "÷ sb3, zoo"]
+    for task, job in RACES.items():
+        of_task = speeds.loc[job.options].dropna(axis="columns")
+        line = {"task": task, "ours, steps a second": number(of_task["ours"].median())}
+        for name, title in titles.items():
+            if name in of_task:
+                ratio = of_task["ours"] / of_task[name]
+                line[title] = f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
+        lines.append(line)
+    found = pd.DataFrame(lines).fillna("")
+    short, more = found.iloc[:, :-2], found.iloc[:, [0, -2, -1]]
     ours = speeds.groupby("options")["ours"].median()
-    crowds = [[name, *(number(ours[CROWDS[kind, count]]) for count in COUNTS)]
-              for kind, name in KINDS.items()]
-    return {"speed": study.table(header, lines),
-            "scaling": study.table(["steps a second with environments", *COUNTS], crowds)}
+    crowds = [[count, *(number(ours[CROWDS[kind, count].options]) for kind in KINDS)]
+              for count in COUNTS]
+    return {"speed": study.table(short, short.to_numpy()),
+            "more speeds": study.table(more, more.to_numpy()),
+            "scaling": study.table(["environments", *KINDS.values()], crowds)}
 
 
 if __name__ == "__main__":
