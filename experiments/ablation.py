@@ -2,7 +2,6 @@
 
 import pandas as pd
 import study
-from scipy import stats
 from study import A2C, PPO, Job
 
 NAMES = {"--clip-eps 1e9": "no clip", "--max-kl 1e9": "no KL limit", "--last-std 0.6": "σ constant",
@@ -41,7 +40,7 @@ def effects(rows, tables):
             if both.shape[1] > 1:
                 without, changed = both
                 gains = 100 * (changed - without) / without.mean()
-                effect = study.difference(stats.ttest_1samp(gains, 0))
+                effect = study.gain(gains)
                 alike = sum(changed == without)
                 found.append([name, change, len(gains), *effect, study.spread(without),
                               study.spread(changed),

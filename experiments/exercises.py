@@ -1,22 +1,23 @@
 """What the exercises 5 to 12 give, with the seeds of their sheet. Half an hour on two cores."""
 
 import study
+from ablation import with_change
 from study import A2C, PPO, Job, number
 
-CHEETAH, SHORT = "--env-id HalfCheetah-v5 --total-steps 3e5", "--total-steps 32768"
-RUN = {  # number: what the answers call it, without, with
-    5: ("`--gae-lambda 0`", Job(A2C), Job(A2C, "--gae-lambda 0")),
-    6: ("`--gae-lambda 1`", Job(A2C), Job(A2C, "--gae-lambda 1")),
-    7: ("`--epochs 1`", Job(PPO, CHEETAH), Job(PPO, f"{CHEETAH} --epochs 1")),
-    8: ("σ = 0.03", Job(PPO, CHEETAH), Job(PPO, f"{CHEETAH} --first-std 0.03 --last-std 0.03")),
-    9: ("observations not normalised", Job(PPO, CHEETAH),
-        Job(PPO, CHEETAH, "observations-not-normalised"))}
+LANDER, CHEETAH = Job(A2C), Job(PPO, "--env-id HalfCheetah-v5 --total-steps 3e5")
+RUN = {  # number: what the answers call it, without, the change
+    5: ("`--gae-lambda 0`", LANDER, "--gae-lambda 0"),
+    6: ("`--gae-lambda 1`", LANDER, "--gae-lambda 1"),
+    7: ("`--epochs 1`", CHEETAH, "--epochs 1"),
+    8: ("σ = 0.03", CHEETAH, "--first-std 0.03 --last-std 0.03"),
+    9: ("observations not normalised", CHEETAH, "observations-not-normalised")}
+SHORT = "--total-steps 32768"
 FIND = {"right": "", "10": "fault-1", "11": "fault-2", "12": "fault-3"}
 SHOWN = {"last eval_return": 0, "first return": 0, "median value_loss": 2,  # digits
          "first explained_variance": 2, "median explained_variance": 2, "median kl": 3,
          "last kl": 3, "median clip_fraction": 2}
-JOBS = [*(job._replace(seed=seed) for seed in range(1, 6)
-          for job in dict.fromkeys(job for _, *both in RUN.values() for job in both)),
+JOBS = [*(with_change(job, change, seed) for seed in range(1, 6) for _, job, change in
+          [("", LANDER, ""), ("", CHEETAH, ""), *RUN.values()]),
         *(Job(PPO, SHORT, change, seed) for seed in (1, 2) for change in FIND.values())]
 
 
@@ -30,8 +31,8 @@ def measure(job):
 def draw(rows):
     rows = rows.set_index(study.KEYS[:3]).sort_index()
     run, medians, find = [], [], []
-    for exercise, (name, *both) in RUN.items():
-        usual, changed = (rows.loc[job[:3]] for job in both)
+    for exercise, (name, job, change) in RUN.items():
+        usual, changed = rows.loc[job[:3]], rows.loc[with_change(job, change)[:3]]
         returns = changed["last eval_return"], usual["last eval_return"]
         gain = study.welch(*returns)
         verdict = "none that five seeds show"

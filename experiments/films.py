@@ -28,7 +28,7 @@ VIEWS = {  # options, steps for a frame, milliseconds, camera
 SCENES = {  # steps and words, before and after
     REINFORCE: [(60, "before: the pole falls"), (120, "after: pushed, the pole stands")],
     A2C: [(130, "before: it crashes"), (290, "after a million steps: it lands")],
-    PPO: [(30, "before: it twitches"), (70, "after a million steps: it runs")],
+    PPO: [(30, "before"), (70, "after a million steps")],
 }
 
 
@@ -56,7 +56,8 @@ def play(script, weights, steps, words):
     obs, _ = env.reset(seed=3)
     for step in range(steps):
         if step % steps_a_frame == 0:
-            frames.append(frame(env.render(), words))
+            speed = f", {env.data.qvel[0]:.1f} m/s" if script == PPO else ""
+            frames.append(frame(env.render(), words + speed))
         action = agent.act(np.array(obs, float)[None], deterministic=bool(weights))[0]
         if script == REINFORCE:
             action = action.clip(env.action_space.low, env.action_space.high)
@@ -78,5 +79,7 @@ if __name__ == "__main__":
                      for weights, scene in zip((None, trained), SCENES[script]))
     palette = after[-1].quantize(32)
     frames = [x.quantize(palette=palette, dither=Image.Dither.NONE) for x in before + after]
+    durations = [VIEWS[script][2]] * len(frames)
+    durations[len(before) - 1] = durations[-1] = 1000  # the end is the point
     frames[0].save(study.ROOT / "docs" / script.replace(".py", ".gif"), save_all=True, loop=0,
-                   append_images=frames[1:], duration=VIEWS[script][2], optimize=True)
+                   append_images=frames[1:], duration=durations, optimize=True)

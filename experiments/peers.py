@@ -71,6 +71,22 @@ def speed(args, setting, options):
     return model.num_timesteps / (time.perf_counter() - start)
 
 
+def stepping_speed(module, args):
+    """Of our environments without a learner, with actions drawn beforehand."""
+    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
+    envs.reset(seed=1)
+    actions = [envs.action_space.sample() for _ in range(args.total_steps // args.num_envs)]
+    start = time.perf_counter()
+    for action in actions:
+        _, _, terminated, truncated, _ = envs.step(action)
+        done = terminated | truncated
+        if done.any():
+            envs.reset(options={"reset_mask": done})  # as `rollout` does
+    seconds = time.perf_counter() - start
+    envs.close()
+    return len(actions) * args.num_envs / seconds
+
+
 class Agent:
     """Looks like one of ours."""
 

@@ -1,10 +1,14 @@
 """How many steps a second, against others and against stepping alone?
 
-And A2C with one to 32 environments, in one process or in a process each. Five repetitions, in
-turns; CleanRL takes part if CLEANRL is the path of its file. Nothing else may run; fifty minutes.
+And A2C with one to 32 environments, in one process or in a process each, and PPO in two processes.
+Five repetitions, in turns; CleanRL takes part if CLEANRL is the path of its file. Nothing else may
+run; an hour on two cores.
 """
 
-import time
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import pandas as pd
 import peers
@@ -20,38 +24,33 @@ RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, scr
 CROWDS = {(kind, count): Job(A2C, f"--num-envs {count} --vectorization {kind} --rollout-steps "
                              f"{512 // count} --total-steps 20480")
           for kind in KINDS for count in COUNTS}
+TOGETHER = "experiments/together.py"
+TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
+PAIRS = {task: [Job(script, f"--env-id {task} --total-steps 40960 --num-envs {count} --num-evals 1 "
+                    "--eval-episodes 1") for script, count in ((PPO, 16), (TOGETHER, 8))]
+         for task in ("HalfCheetah-v5", "Humanoid-v5")}
 JOBS = [job._replace(seed=repetition) for repetition in range(1, 6)
-        for job in [*RACES.values(), *CROWDS.values()]]
+        for job in [*RACES.values(), *CROWDS.values(), *sum(PAIRS.values(), [])]]
 
 
-def our_speed(module, args):
-    """Of a training without evaluations."""
-    module.evaluate = lambda *_: 0.0
-    log, _ = study.run(module, args)
-    return log["env_step"].iloc[-1] / log["seconds"].iloc[-1]
-
-
-def stepping_speed(module, args, count):
-    """Of our environments without a learner, with actions drawn beforehand."""
-    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
-    envs.reset(seed=1)
-    actions = [envs.action_space.sample() for _ in range(count)]
-    start = time.perf_counter()
-    for action in actions:
-        _, _, terminated, truncated, _ = envs.step(action)
-        done = terminated | truncated
-        if done.any():
-            envs.reset(options={"reset_mask": done})  # as `rollout` does
-    seconds = time.perf_counter() - start
-    envs.close()
-    return count * args.num_envs / seconds
+def log_of(job):
+    """Of a training without evaluations; of `together` in two processes."""
+    if job.script != TOGETHER:
+        module, args = study.load(job)
+        module.evaluate = lambda *_: 0.0
+        return study.run(module, args)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, *TORCHRUN, study.ROOT / job.script, *job.options.split(),
+                        "--seed", str(job.seed)], check=True, cwd=folder, capture_output=True)
+        (path,) = Path(folder).glob("runs/*/seed-*.csv")
+        return pd.read_csv(path)
 
 
 def measure(job):
-    module, args = study.load(job)
-    speeds = {"ours": our_speed(module, args)}
-    if job.script != REINFORCE and args.env_id in job.options:
-        speeds["stepping alone"] = stepping_speed(module, args, args.total_steps // args.num_envs)
+    speeds = {"ours": log_of(job).eval("env_step / seconds").iloc[-1]}
+    if job._replace(seed=1) in RACES.values() and job.script != REINFORCE:
+        module, args = study.load(job)
+        speeds["stepping alone"] = peers.stepping_speed(module, args)
         speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
         if peers.CLEANRL and job.script == PPO:
             speeds["CleanRL"] = peers.cleanrl_speed(args)
@@ -77,9 +76,14 @@ def draw(rows):
     ours = speeds.groupby("options")["ours"].median()
     crowds = [[count, *(number(ours[CROWDS[kind, count].options]) for kind in KINDS)]
               for count in COUNTS]
+    together = [[task, *(number(ours[job.options]) for job in pair),
+                 f"{ours[pair[1].options] / ours[pair[0].options]:.1f}"]
+                for task, pair in PAIRS.items()]
     return {"speed": study.table(short, short.to_numpy()),
             "more speeds": study.table(more, more.to_numpy()),
-            "scaling": study.table(["environments", *KINDS.values()], crowds)}
+            "scaling": study.table(["environments", *KINDS.values()], crowds),
+            "together": study.table(["PPO, steps a second", "one process", "two", "ratio"],
+                                    together)}
 
 
 if __name__ == "__main__":

@@ -45,9 +45,6 @@ class Job(NamedTuple):
 
 KEYS = list(Job._fields)
 
-# --- Measuring ------------------------------------------------------------------------------------
-
-
 def load(job):
     """The script of a job, with its change, as a module; and its options."""
     module = ModuleType(job.script.removesuffix(".py"))
@@ -174,8 +171,13 @@ def difference(test):
 
 
 def welch(changed, usual):
-    """The mean of the first minus that of the second, by Welch's t-test."""
+    """The mean of the first minus that of the second."""
     return difference(stats.ttest_ind(changed, usual, equal_var=False))
+
+
+def gain(gains):
+    """Their mean."""
+    return difference(stats.ttest_1samp(gains, 0))
 
 
 def holm(p_values, level=0.05):
@@ -250,14 +252,11 @@ def write_tables(tables):
         page.write_text("".join(parts), encoding="utf-8")
 
 
-def figure(width, height, rows=1, columns=1, count=None, **options):
-    """A picture with `count` panels, at most rows·columns."""
+def figure(width, height, rows=1, columns=1, **options):
+    """A picture and its panels."""
     sns.set_theme("talk", "whitegrid", "colorblind", font_scale=0.85)
     picture = Figure(figsize=(width, height), layout="constrained")
-    panels = picture.subplots(rows, columns, squeeze=False, **options).flat
-    for panel in panels[count or len(panels) :]:
-        panel.remove()
-    return picture, panels[:count]
+    return picture, picture.subplots(rows, columns, squeeze=False, **options).ravel()
 
 
 def curves(rows, x, axis, y="return", label=None, color="C0", **labels):

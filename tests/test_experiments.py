@@ -1,7 +1,6 @@
 """experiments/: changes, rows, statistics, tables, peers, merged runs."""
 
 import importlib
-import itertools
 import re
 import shlex
 import shutil
@@ -9,7 +8,6 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import ablation
 import merge
 import numpy as np
 import pandas as pd
@@ -132,7 +130,7 @@ def test_holms_correction():
 
 
 def test_the_interval_of_a_median_is_of_the_median():
-    """Of three values a bootstrap's median is an extreme one with probability 7/27 each."""
+    """Of three values the median of a sample is either extreme in 7 of 27 cases."""
     assert study.median([1, 2, 9]) == "2 (1 to 9)"
 
 
@@ -213,22 +211,11 @@ def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
         assert line.split("|")[-2].strip() == "ours above"
 
 
-@pytest.mark.parametrize(("factors", "lost", "taken"), [
-    ([1.3, 1, 1, 1, 1], 10, "yes"), ([1.3, 1.3, 1, 1, 0.9], 10, "no"), ([1] * 5, 5, "yes"),
-    ([1] * 5, 6, "no"), ([0.9, 0.9, 1, 1, 1], 0, "no"), ([], 0, "no")])
-def test_the_rule_of_trials(factors, lost, taken):
-    """Two seeds of the default, which lose 10 in all; the candidate's third makes no pair."""
-    rows = []
-    for seed, candidate in itertools.product((1, 2, 3), ("", "--gae-lambda 0.92")):
-        jobs = [usual for usual, _ in trials.TABLES.values()][: len(factors)]
-        returns = [100 * seed * (factor if candidate else 1) for factor in factors]
-        for job, value in zip([*jobs, trials.PENDULUM], [*returns, 9000]):
-            job = ablation.with_change(job, candidate, seed)
-            rows.append({**job._asdict(), "return": value, "lost": lost / 2 if candidate else 5})
-    rows = pd.DataFrame(rows)
-    table = trials.draw(rows[(rows["seed"] < 3) | (rows["options"].str.contains("0.92"))])["trials"]
-    (line,) = [line for line in table.splitlines() if "`--gae-lambda 0.92`" in line]
-    assert line.split("|")[-2].strip() == taken
+@pytest.mark.parametrize(("ratios", "lost", "taken"), [
+    ([1.3, 1, 1, 1, 1], 10, True), ([1.3, 1.3, 1, 1, 0.9], 10, False), ([1] * 5, 5, True),
+    ([1] * 5, 6, False), ([0.9, 0.9, 1, 1, 1], 0, False), ([], 0, False)])
+def test_the_rule_of_trials(ratios, lost, taken):
+    assert trials.taken(ratios, lost, usually_lost=10) == taken
 
 
 def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
