@@ -10,7 +10,6 @@ import study
 from scipy import stats
 from study import number
 
-JOBS = []
 EARLIER = ((4, "minibatches of 64, learning rate 3e-4"),  # stages, changes
            (5, "one environment, rollouts of 2048 steps"),
            (5, "KL once an epoch, over the whole rollout"))
@@ -52,4 +51,4 @@ def draw(published):
 
 
 if __name__ == "__main__":
-    study.main(JOBS, draw)
+    study.write_tables(draw(study.read("published")))

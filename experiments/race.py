@@ -33,7 +33,8 @@ def draw_task(panels, task, learners, speeds):
         color, dashes = STYLES[learner] if (task, learner) != BROKEN else ("darkgrey", ":")
         for axis, unit in zip(panels, ("steps", "minutes")):
             sns.lineplot(curve, x=unit, y="return", errorbar=("se", 1.96), ls=dashes, lw=3,
-                         color=color, err_kws={"alpha": 0.15}, label=learner, ax=axis)
+                         color=color, err_kws={"alpha": 0.15}, ax=axis,
+                         label=learner + ", in training" * (learner == "CleanRL"))
     by_steps, by_minutes = panels
     by_steps.set(title=task, xlabel="million steps", xticks=[0, 0.5, 1])
     study.name_ends(by_steps)
@@ -79,7 +80,7 @@ def draw(rows):
     above, below = (sum(table["verdict"] == f"ours {where}") for where in ("above", "below"))
     picture.suptitle(f"Our PPO is significantly above others' in {above} of "
                      f"{above + below + sum(unclear)} comparisons, below in {below}\n"
-                     "(sb3: defaults, zoo, our sizes; CleanRL: in training; bands: 95%)")
+                     "(stable-baselines3: defaults, zoo, our sizes; bands: 95% of the mean)")
     study.save(picture, "ppo_race")
     return {"race": study.table(table, table.to_numpy())}
 

@@ -11,10 +11,10 @@ TASKS = {f"{task}-v5": f"--env-id {task}-v5 --total-steps 1e6" for task in (
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", PENDULUM
 LEVELS = {"Ant-v5": ("Ant: standing still", 1000), PENDULUM: ("double pendulum: the most", 9360)}
 HUNDRED = "--num-evals 1 --eval-episodes 100"
-CURVES = [Job(PPO, options, seed=seed) for seed in range(71, 81) for options in TASKS.values()]
-JOBS = [*(Job(script, seed=seed) for seed in range(1, 6) for script in (REINFORCE, A2C, PPO)),
-        *(Job(script, HUNDRED, seed=seed) for script in (REINFORCE, A2C, PPO)
-          for seed in range(71, 101 if script == A2C else 81)), *CURVES]
+SEEDS = {REINFORCE: range(71, 81), A2C: range(71, 101), PPO: range(71, 81)}
+CURVES = [Job(PPO, options, seed=seed) for seed in SEEDS[PPO] for options in TASKS.values()]
+JOBS = [*(Job(script, seed=seed) for seed in range(1, 6) for script in SEEDS),
+        *(Job(script, HUNDRED, seed=seed) for script in SEEDS for seed in SEEDS[script]), *CURVES]
 
 
 def measure(job):
@@ -75,7 +75,7 @@ def draw(rows):
     return {
         "three scripts": study.table(
             ["file", "task", "mean ± std", "lowest", "solved (95% interval)", "steps, time"],
-            [script_line(script, hundred.get_group(script)) for script in (REINFORCE, A2C, PPO)]),
+            [script_line(script, hundred.get_group(script)) for script in SEEDS]),
         "ten tasks": study.table(
             ["task", "mean ± std", "median (95%)", "lowest", "in training", "minutes"],
             [task_line(task, runs) for task, runs in of_task.items()]),

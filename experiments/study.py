@@ -274,8 +274,7 @@ def name_ends(axis, gap=0.08):
     for line in sorted(named, key=lambda line: line.get_ydata()[-1]):
         place = max(place + gap * (high - low), line.get_ydata()[-1])
         axis.annotate(line.get_label(), (line.get_xdata()[-1], place), (6, 0), va="center",
-                      textcoords="offset points", color=line.get_color(), size="small",
-                      annotation_clip=False)
+                      textcoords="offset points", size="small", annotation_clip=False)
     axis.get_legend().remove()
 
 
