@@ -34,7 +34,7 @@ def draw_task(panels, task, learners, speeds):
         for axis, unit in zip(panels, ("steps", "minutes")):
             sns.lineplot(curve, x=unit, y="return", errorbar=("se", 1.96), ls=dashes, lw=3,
                          color=color, err_kws={"alpha": 0.15}, ax=axis,
-                         label=learner + ", in training" * (learner == "CleanRL"))
+                         label=learner.replace("CleanRL", "CleanRL,\nin training"))
     by_steps, by_minutes = panels
     by_steps.set(title=task, xlabel="million steps", xticks=[0, 0.5, 1])
     study.name_ends(by_steps)
