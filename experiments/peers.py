@@ -153,6 +153,6 @@ def learn_cleanrl(args):
     ends = log.loc[log["tag"] == "charts/SPS", "steps"]  # of its updates
     of_updates = returns["value"].groupby(np.searchsorted(ends, returns["steps"])).mean()
     rows = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(ends))).mean()
-    version = study.git("hash-object", Path(CLEANRL).resolve()).strip()[:7]  # as git names this very text
+    version = study.git("hash-object", Path(CLEANRL).resolve())[:7]  # git's name of this very text
     return pd.DataFrame({"steps": rows.index * ends.max() / 20, "sampled": rows.values,
                          "cleanrl": version})

@@ -4,8 +4,8 @@ import importlib
 
 import study
 
-STUDIES = ("returns", "published", "settings", "race", "speed", "baselines", "robustness",
-           "ablation", "exercises", "trials")
+STUDIES = ("returns", "published", "settings", "race", "speed", "processes", "baselines",
+           "robustness", "ablation", "exercises", "trials")
 
 
 def commits():
