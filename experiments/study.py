@@ -124,14 +124,13 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
     parser.add_argument("--only", default="", metavar="TEXT", help="jobs whose options contain it")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
-    jobs = [job for job in jobs if args.only in job.options]
     if args.quick:
         job = jobs[0]._replace(options=f"{jobs[0].options} --total-steps 256 --num-evals 1")
         return print(measured(measure, job, keep=False).to_string())
     name = Path(study.__file__).stem
     rows = read(name)
     done = set(rows[KEYS].itertuples(index=False, name=None))
-    lacking = [job for job in jobs if job not in done]
+    lacking = [job for job in jobs if job not in done and args.only in job.options]
     if lacking:
         commit_of(*{job.script for job in lacking}, "experiments/study.py",
                   "experiments/variants.py", f"experiments/{name}.py")
@@ -144,7 +143,10 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
                 rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
-    name_older_commits(read(name))
+    name_older_commits(rows)
+    missing = set(jobs) - set(rows[KEYS].itertuples(index=False, name=None))
+    if missing:
+        return print(f"not drawn, as {len(missing)} jobs have no rows yet")
     tables = draw(read(name))
     print(*tables.values(), sep="\n")
     write_tables(tables)

@@ -5,7 +5,8 @@ of its mean return, divided by the default's on the same seeds, is at least 1.05
 five ratios is below 0.92; or if it at least halves the lost pendulums and that mean is at least
 0.98. A pendulum is lost if its episode ends before the time limit.
 
-With --only Pendulum or another task only a part is measured; the table is of what is there.
+With --only Pendulum or another task only a part is measured; `report` makes a table of what is
+there.
 """
 
 import ablation

@@ -70,7 +70,7 @@ def test_a_change_replaces_no_script_and_needs_a_name_and_a_file(arguments, tmp_
     assert not list(tmp_path.iterdir())
 
 
-def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
+def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch, capsys):
     """Of three jobs one is known, one is not asked for; the rows say where they come from."""
     measured = []
     monkeypatch.setattr(study, "DATA", tmp_path)
@@ -82,6 +82,7 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
         monkeypatch.setattr(sys, "argv", ["small.py", *arguments])
         study.main(known, lambda rows: {}, lambda job: measured.append(job) or [{"x": job.seed}])
     assert measured == jobs[:2]
+    assert "not drawn, as 1 jobs have no rows yet" in capsys.readouterr().out
     rows = study.read("small")
     assert rows["x"].to_list() == [1, 2]
     assert set(rows["commit"]) == {"1234567"}
