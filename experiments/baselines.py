@@ -4,12 +4,13 @@ The noise is the variance of the gradient, for the agent of a short run. Some te
 """
 
 import numpy as np
+import pandas as pd
 import seaborn as sns
 import study
 import torch
 from study import REINFORCE, Job, number
 
-BASELINES, EARLY = ("none", "mean", "value"), 30_000
+BASELINES, STEPS, EARLY = ("none", "mean", "value"), range(0, 100_001, 5000), 30_000
 NOISE = "--total-steps 10000"  # the run for whose policy noise is measured
 JOBS = [Job(REINFORCE, options, seed=seed) for seed in range(71, 81)
         for options in (NOISE, *(f"--baseline {name}" for name in BASELINES))]
@@ -49,29 +50,37 @@ def gradient(module, agent, baseline, obs, actions, rewards_to_go):
 
 def draw(rows):
     noise = rows[rows["options"] == NOISE]
-    variance, early, whole, lines = {}, {}, {}, []
+    variance, curves, early, whole, lines = {}, {}, {}, {}, []
     for name in BASELINES:
         runs = rows[rows["options"] == f"--baseline {name}"].groupby("seed")
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
-        early[name] = [np.interp(EARLY, run["steps"], run["return"]) for _, run in runs]
-        whole[name] = runs["return"].mean()
-        tests = [study.welch(returns[name], returns["none"]) for returns in (early, whole)]
-        p_early, p_whole = (study.p_text(test.p) if name != "none" else "" for test in tests)
+        curves[name] = pd.DataFrame(  # batches of different seeds end at different steps
+            {seed: np.interp(STEPS, run["steps"], run["return"]) for seed, run in runs}, STEPS)
+        early[name], whole[name] = curves[name].loc[EARLY], runs["return"].mean()
+        pairs = [(returns[name], returns["none"]) for returns in (early, whole)]
+        tests = [f", p {study.compared(*pair)[-1]}" if name != "none" else "" for pair in pairs]
         lines.append([f"`{name}`", study.spread(variance[name], 2),
-                      study.spread(early[name]), p_early, study.spread(whole[name]), p_whole,
+                      *(study.spread(pair[0]) + test for pair, test in zip(pairs, tests)),
                       study.proportion(runs["return"].last() >= 950),
                       number(runs["sampled"].last().mean())])
-    picture, panels = study.figure(11, 4, 1, 3)
-    titles = ("variance of the gradient, none = 1", f"return after {EARLY:,} steps",
-              "mean return over a run")
-    for axis, title, dots in zip(panels, titles, (variance, early, whole)):
-        sns.pointplot(dots, errorbar=None, linestyle="none", marker="_", markersize=50, ax=axis)
-        sns.swarmplot(dots, color="black", ax=axis)
+    picture, (left, middle, right) = study.figure(13, 5, 1, 3)
+    for axis, dots, title in ((left, variance, "variance of the gradient,\nrelative to none"),
+                              (right, whole, "mean return\nover a run")):
+        sns.pointplot(dots, errorbar=None, linestyle="none", marker="_", markersize=40, ax=axis)
+        sns.swarmplot(dots, color="black", size=6, ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
-    picture.suptitle("REINFORCE on InvertedPendulum: ten seeds (dots), their mean (line)")
+    for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
+        curve = curve.rename_axis("steps").melt(ignore_index=False, value_name="return")
+        sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("se", 1.96), ls=dashes,
+                     lw=3, label=name, ax=middle)
+    middle.set(title="return, mean of ten seeds\n(band: 95%)", xticks=[0, 50_000, 100_000],
+               ylabel="", ylim=(0, None))
+    study.name_ends(middle)
+    picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
     study.save(picture, "baselines")
-    header = ["`--baseline`", *titles[:2], "p", titles[2], "p", "solved (95%)", "in training"]
-    return {"baselines": study.table(header, lines)}
+    return {"baselines": study.table(
+        ["`--baseline`", "variance of the gradient, none = 1", f"return after {EARLY:,} steps",
+         "mean return over a run", "solved (95%)", "in training"], lines)}
 
 
 if __name__ == "__main__":

@@ -1,15 +1,27 @@
-"""stable-baselines3, with its defaults, with the settings of its zoo, and with our sizes.
+"""What others' PPO and A2C do on the same tasks: functions that train and measure them.
 
-PPO's observations and rewards are normalised. The zoo's settings are those of its files
-hyperparams/ppo.yml and a2c.yml, as of 26 November 2026.
+stable-baselines3 with its defaults, with the settings of its zoo (its files hyperparams/ppo.yml and
+a2c.yml, as of 26 November 2026), with our sizes; PPO's observations and rewards are normalised.
+CleanRL's own ppo_continuous_action.py, whose path is the environment variable CLEANRL; it is given
+the one more argument that Gymnasium 1.x wants, and nothing else in it is changed.
 """
 
+import contextlib
+import io
+import os
+import sys
+import time
+from pathlib import Path
+from unittest import mock
+
 import gymnasium as gym
+import numpy as np
+import pandas as pd
 import study
 import torch
 from study import PPO, Job
 
-FILE = "experiments/peers.py"
+FILE, CLEANRL = "experiments/peers.py", os.environ.get("CLEANRL")
 
 RELU = {"log_std_init": -2, "ortho_init": False, "activation_fn": torch.nn.ReLU,
         "net_arch": {"pi": [256, 256], "vf": [256, 256]}}
@@ -34,7 +46,7 @@ OUR_SIZES = {"num_envs": 16, "n_steps": 128, "batch_size": 512,
 
 
 def make(task, setting, seed, **settings):
-    """A model that has not learned yet: A2C on LunarLander, else PPO."""
+    """A model of stable-baselines3 that has not learned yet: A2C on LunarLander, else PPO."""
     import stable_baselines3 as sb3
     from stable_baselines3.common import env_util, vec_env
 
@@ -51,6 +63,30 @@ def make(task, setting, seed, **settings):
     return sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu", **settings)
 
 
+def speed(args, setting, options):
+    """Steps a second of stable-baselines3."""
+    model = make(args.env_id, setting, args.seed[0], **options)
+    start = time.perf_counter()
+    model.learn(args.total_steps)
+    return model.num_timesteps / (time.perf_counter() - start)
+
+
+def stepping_speed(module, args):
+    """Of our environments without a learner, with actions drawn beforehand."""
+    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
+    envs.reset(seed=1)
+    actions = [envs.action_space.sample() for _ in range(args.total_steps // args.num_envs)]
+    start = time.perf_counter()
+    for action in actions:
+        _, _, terminated, truncated, _ = envs.step(action)
+        done = terminated | truncated
+        if done.any():
+            envs.reset(options={"reset_mask": done})  # as `rollout` does
+    seconds = time.perf_counter() - start
+    envs.close()
+    return len(actions) * args.num_envs / seconds
+
+
 class Agent:
     """Looks like one of ours."""
 
@@ -64,8 +100,10 @@ class Agent:
 
 
 def learn(job):
-    """A row for each of 51 evaluations of five episodes."""
+    """A row for each of 51 evaluations of five episodes; of CleanRL `learn_cleanrl`."""
     ours, args = study.load(Job(PPO, job.options, seed=job.seed))
+    if job.change == "CleanRL":
+        return learn_cleanrl(args)
     model, rows = make(args.env_id, job.change, job.seed), []
     envs, agent = gym.make_vec(args.env_id, 5), Agent(model)
 
@@ -78,3 +116,43 @@ def learn(job):
     model.learn(args.total_steps, callback=evaluate)
     evaluate(last=True)
     return rows
+
+
+def run_cleanrl(args):
+    """What CleanRL's script logs: a row for each value, with its tag and the step.
+
+    It gets its options without tyro, and tells its log to us instead of TensorBoard.
+    """
+    torch.set_num_threads(1)
+    text, old = Path(CLEANRL).read_text("utf-8"), "lambda obs: np.clip(obs, -10, 10)"
+    if text.count(old) != 1:
+        raise ValueError(f"{CLEANRL}: {old!r} occurs {text.count(old)} times")
+    options = {"env_id": args.env_id, "total_timesteps": args.total_steps, "seed": args.seed[0],
+               "cuda": False}
+    writer = mock.Mock()
+    sys.modules["tyro"] = mock.Mock(cli=lambda Args: Args(**options))
+    sys.modules["torch.utils.tensorboard"] = mock.Mock(SummaryWriter=lambda _: writer)
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(compile(text.replace(old, f"{old}, env.observation_space"), CLEANRL, "exec"),
+             {"__name__": "__main__", "__file__": CLEANRL})
+    del sys.modules["tyro"], sys.modules["torch.utils.tensorboard"]
+    return pd.DataFrame([call.args for call in writer.add_scalar.call_args_list],
+                        columns=["tag", "value", "steps"])
+
+
+def cleanrl_speed(args):
+    """Steps a second, as it says itself at the end."""
+    log = run_cleanrl(args)
+    return log.loc[log["tag"] == "charts/SPS", "value"].iloc[-1]
+
+
+def learn_cleanrl(args):
+    """A row for each twentieth of the steps: returns in training, averaged as ours are."""
+    log = run_cleanrl(args)
+    returns = log[log["tag"] == "charts/episodic_return"]
+    ends = log.loc[log["tag"] == "charts/SPS", "steps"]  # of its updates
+    of_updates = returns["value"].groupby(np.searchsorted(ends, returns["steps"])).mean()
+    rows = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(ends))).mean()
+    version = study.git("hash-object", Path(CLEANRL).resolve())[:7]  # git's name of this very text
+    return pd.DataFrame({"steps": rows.index * ends.max() / 20, "sampled": rows.values,
+                         "cleanrl": version})

@@ -1,34 +1,21 @@
-"""When do several processes pay? A2C's environments, by the time a step takes; PPO with `together`.
+"""When does a process for each of A2C's environments pay? By the time that a step takes.
 
-Nothing else may run; some five minutes on two cores.
+Nothing else may run; a minute on two cores.
 """
 
-import statistics
-import subprocess
-import sys
-import tempfile
 import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
-import pandas as pd
-import speed
+import peers
 import study
-from study import A2C, PPO, Job, number
+from speed import KINDS
+from study import A2C, Job
 
-TOGETHER = "experiments/together.py"
-TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
-TIMES, KINDS = (0.03, 0.1, 0.2, 0.3, 0.5, 1.0), {"sync": "one process", "async": "a process each"}
-TASKS = [f"--env-id {task}-v5 --total-steps 40960" for task in ("HalfCheetah", "Humanoid")]
-NUM_ENVS = {PPO: 16, TOGETHER: 8}  # in each process
-STEPS = {(ms, kind): f"--env-id Busy{ms}-v0 --vectorization {kind}"
+TIMES = 0.03, 0.1, 0.2, 0.3, 0.5, 1.0  # milliseconds
+STEPS = {(ms, kind): Job(A2C, f"--env-id Busy{ms}-v0 --vectorization {kind}")
          for ms in TIMES for kind in KINDS}
-RUNS = {(task, script): f"{task} --num-envs {count} --num-evals 1 --eval-episodes 1"
-        for task in TASKS for script, count in NUM_ENVS.items()}
-JOBS = [*(Job(A2C, options) for options in STEPS.values()),
-        *(Job(script, options, seed=repetition) for repetition in range(1, 6)
-          for (_, script), options in RUNS.items())]
+JOBS = [*STEPS.values()]
 
 
 class Busy(gym.Env):
@@ -56,28 +43,15 @@ for ms in TIMES:
 
 
 def measure(job):
-    if job.script == A2C:
-        speeds = [speed.stepping_speed(*study.load(job), 300) for _ in range(3)]
-        return [{"speed": statistics.median(speeds)}]
-    command = TORCHRUN if job.script == TOGETHER else ()
-    with tempfile.TemporaryDirectory() as folder:
-        subprocess.run([sys.executable, *command, study.ROOT / job.script, *job.options.split(),
-                        "--seed", str(job.seed)], check=True, cwd=folder, capture_output=True)
-        (path,) = Path(folder).glob("runs/*/seed-*.csv")
-        log = pd.read_csv(path)
-    return [{"speed": log["env_step"].iloc[-1] / log["seconds"].iloc[-1]}]
+    module, args = study.load(job._replace(options=f"{job.options} --total-steps 2400"))
+    return [{"speed": np.median([peers.stepping_speed(module, args) for _ in range(3)])}]
 
 
 def draw(rows):
-    speeds = rows.groupby("options")["speed"].median()
-    steps = [[name, *(f"{8000 / speeds[STEPS[ms, kind]]:.2f}" for ms in TIMES)]
-             for kind, name in KINDS.items()]
-    runs = []
-    for task in TASKS:
-        one, two = speeds[RUNS[task, PPO]], speeds[RUNS[task, TOGETHER]]
-        runs.append([task.split()[1], number(one), number(two), f"{two / one:.1f}"])
-    return {"processes": study.table(["ms for 8 environments, if a step takes", *TIMES], steps),
-            "together": study.table(["PPO, steps a second", "one process", "two", "ratio"], runs)}
+    speeds = rows.set_index("options")["speed"]
+    return {"processes": study.table(["ms a step", *KINDS.values()], [
+        [ms, *(f"{8000 / speeds[STEPS[ms, kind].options]:.2f}" for kind in KINDS)]
+        for ms in TIMES])}
 
 
 if __name__ == "__main__":

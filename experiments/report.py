@@ -4,13 +4,23 @@ import importlib
 
 import study
 
-STUDIES = ("returns", "settings", "race", "speed", "processes", "baselines", "robustness",
-           "ablation", "exercises", "trials")
+STUDIES = ("returns", "published", "settings", "race", "speed", "processes", "baselines",
+           "robustness", "ablation", "exercises", "trials")
+
+
+def commits():
+    """Of a table: by which commits the rows of each study were measured."""
+    for name in STUDIES:
+        jobs = study.read(name).reindex(columns=[*study.KEYS, "commit"]).drop_duplicates()
+        for script, of_script in jobs.groupby("script"):
+            counts = of_script["commit"].value_counts()
+            yield [f"`{name}.csv`", f"`{script}`",
+                   ", ".join(f"{commit} ({count} jobs)" for commit, count in counts.items())]
 
 
 def tables():
     """{name: table} of all studies; their figures are drawn."""
-    found = {}
+    found = {"commits": study.table(["rows", "script", "commits"], commits())}
     for name in STUDIES:
         found |= importlib.import_module(name).draw(study.read(name))
     return found

@@ -1,82 +1,89 @@
-"""How many steps a second, against stable-baselines3 and against stepping alone?
+"""How many steps a second, against others and against stepping alone?
 
-And A2C with one to 32 environments, in one process or in a process each. Five repetitions, in
-turns. Nothing else may run; some fifty minutes.
+And A2C with one to 32 environments, in one process or in a process each, and PPO in two processes.
+Five repetitions, in turns; CleanRL takes part if CLEANRL is the path of its file. Nothing else may
+run; an hour on two cores.
 """
 
-import time
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
+import pandas as pd
 import peers
 import study
 from study import A2C, PPO, REINFORCE, Job, number
 
-TASKS = {"HalfCheetah-v5": PPO, "Hopper-v5": PPO, "Walker2d-v5": PPO, "LunarLander-v3": A2C,
-         "InvertedPendulum-v5": REINFORCE}
-PEERS = {"stable-baselines3": ("defaults", {}), "eight environments": ("defaults", {"num_envs": 8}),
-         "our sizes": ("our sizes", {}), "its zoo's settings": ("zoo", {})}  # for `peers.make`
+PEERS = {"defaults": ("defaults", {}), "8 environments": ("defaults", {"num_envs": 8}),
+         "our sizes": ("our sizes", {}), "zoo": ("zoo", {})}  # for `peers.speed`
 COUNTS, KINDS = (1, 2, 4, 8, 16, 32), {"sync": "one process", "async": "a process each"}
-RACES = [(script, f"--env-id {task} --total-steps 32768") for task, script in TASKS.items()]
-CROWDS = {(kind, count): f"--num-envs {count} --vectorization {kind} --rollout-steps "
-          f"{512 // count} --total-steps 20480" for kind in KINDS for count in COUNTS}
-JOBS = [Job(script, options, seed=repetition) for repetition in range(1, 6)
-        for script, options in [*RACES, *((A2C, options) for options in CROWDS.values())]]
+RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, script in (
+    ("HalfCheetah-v5", PPO), ("Hopper-v5", PPO), ("Walker2d-v5", PPO), ("LunarLander-v3", A2C),
+    ("InvertedPendulum-v5", REINFORCE))}
+CROWDS = {(kind, count): Job(A2C, f"--num-envs {count} --vectorization {kind} --rollout-steps "
+                             f"{512 // count} --total-steps 20480")
+          for kind in KINDS for count in COUNTS}
+TOGETHER = "experiments/together.py"
+TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
+PAIRS = {task: [Job(script, f"--env-id {task} --total-steps 40960 --num-envs {count} --num-evals 1 "
+                    "--eval-episodes 1") for script, count in ((PPO, 16), (TOGETHER, 8))]
+         for task in ("HalfCheetah-v5", "Humanoid-v5")}
+JOBS = [job._replace(seed=repetition) for repetition in range(1, 6)
+        for job in [*RACES.values(), *CROWDS.values(), *sum(PAIRS.values(), [])]]
 
 
-def our_speed(module, args):
-    """Of a training without evaluations."""
-    module.evaluate = lambda *_: 0.0
-    log, _ = study.run(module, args)
-    return log["env_step"].iloc[-1] / log["seconds"].iloc[-1]
-
-
-def stepping_speed(module, args, count):
-    """Of our environments without a learner, with actions drawn beforehand."""
-    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
-    envs.reset(seed=1)
-    actions = [envs.action_space.sample() for _ in range(count)]
-    start = time.perf_counter()
-    for action in actions:
-        _, _, terminated, truncated, _ = envs.step(action)
-        done = terminated | truncated
-        if done.any():
-            envs.reset(options={"reset_mask": done})  # as `rollout` does
-    seconds = time.perf_counter() - start
-    envs.close()
-    return count * args.num_envs / seconds
-
-
-def peer_speed(args, setting, options):
-    model = peers.make(args.env_id, setting, args.seed[0], **options)
-    start = time.perf_counter()
-    model.learn(args.total_steps)
-    return model.num_timesteps / (time.perf_counter() - start)
+def log_of(job):
+    """Of a training without evaluations; of `together` in two processes."""
+    if job.script != TOGETHER:
+        module, args = study.load(job)
+        module.evaluate = lambda *_: 0.0
+        return study.run(module, args)[0]
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run([sys.executable, *TORCHRUN, study.ROOT / job.script, *job.options.split(),
+                        "--seed", str(job.seed)], check=True, cwd=folder, capture_output=True)
+        (path,) = Path(folder).glob("runs/*/seed-*.csv")
+        return pd.read_csv(path)
 
 
 def measure(job):
-    module, args = study.load(job)
-    speeds = {"ours": our_speed(module, args)}
-    if job.script != REINFORCE and job[:2] in RACES:
-        speeds["stepping alone"] = stepping_speed(module, args, args.total_steps // args.num_envs)
-        speeds |= {name: peer_speed(args, *peer) for name, peer in PEERS.items()}
-    return [{"learner": name, "speed": speed} for name, speed in speeds.items()]
+    speeds = {"ours": log_of(job).eval("env_step / seconds").iloc[-1]}
+    if job._replace(seed=1) in RACES.values() and job.script != REINFORCE:
+        module, args = study.load(job)
+        speeds["stepping alone"] = peers.stepping_speed(module, args)
+        speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
+        if peers.CLEANRL and job.script == PPO:
+            speeds["CleanRL"] = peers.cleanrl_speed(args)
+    return [{"learner": learner, "speed": speed} for learner, speed in speeds.items()]
 
 
 def draw(rows):
     speeds = rows.groupby(["options", "learner", "seed"])["speed"].first().unstack("learner")
+    titles = {"stepping alone": "÷ stepping alone", "defaults": "÷ sb3, defaults",
+              "our sizes": "÷ sb3, our sizes", "CleanRL": "÷ CleanRL",
+              "8 environments": "÷ sb3, 8 environments", "zoo": "÷ sb3, zoo"}
     lines = []
-    for script, options in RACES:
-        of_task = speeds.loc[options]
-        ratios = of_task["ours"] / of_task[["stepping alone", *PEERS]].T
-        lines.append([f"`{script}`", options.split()[1], number(of_task["ours"].median()), *(
-            f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})" if ratio.any() else ""
-            for _, ratio in ratios.iterrows())])
-    header = ["script", "task", "steps a second", "÷ stepping alone", "÷ sb3, defaults",
-              "÷ sb3, 8 environments", "÷ sb3, our sizes", "÷ sb3, zoo"]
+    for task, job in RACES.items():
+        of_task = speeds.loc[job.options].dropna(axis="columns")
+        line = {"task": task, "ours, steps a second": number(of_task["ours"].median())}
+        for name, title in titles.items():
+            if name in of_task:
+                ratio = of_task["ours"] / of_task[name]
+                line[title] = f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})"
+        lines.append(line)
+    found = pd.DataFrame(lines).fillna("")
+    short, more = found.iloc[:, :-2], found.iloc[:, [0, -2, -1]]
     ours = speeds.groupby("options")["ours"].median()
-    crowds = [[name, *(number(ours[CROWDS[kind, count]]) for count in COUNTS)]
-              for kind, name in KINDS.items()]
-    return {"speed": study.table(header, lines),
-            "scaling": study.table(["steps a second with environments", *COUNTS], crowds)}
+    crowds = [[count, *(number(ours[CROWDS[kind, count].options]) for kind in KINDS)]
+              for count in COUNTS]
+    together = [[task, *(number(ours[job.options]) for job in pair),
+                 f"{ours[pair[1].options] / ours[pair[0].options]:.1f}"]
+                for task, pair in PAIRS.items()]
+    return {"speed": study.table(short, short.to_numpy()),
+            "more speeds": study.table(more, more.to_numpy()),
+            "scaling": study.table(["environments", *KINDS.values()], crowds),
+            "together": study.table(["PPO, steps a second", "one process", "two", "ratio"],
+                                    together)}
 
 
 if __name__ == "__main__":

@@ -29,10 +29,9 @@ import variants
 from matplotlib.figure import Figure
 from scipy import stats
 from tqdm import tqdm
+from variants import A2C, PPO, REINFORCE, ROOT  # noqa: F401 (for the studies)
 
-ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "experiments/data"
-PPO, A2C, REINFORCE = "ppo_continuous.py", "a2c_vector.py", "reinforce_mujoco.py"
 
 
 class Job(NamedTuple):
@@ -40,14 +39,11 @@ class Job(NamedTuple):
 
     script: str
     options: str = ""  # as typed
-    change: str = ""  # one of `variants`
+    change: str = ""  # one of `variants`, or a peer's setting
     seed: int = 1
 
 
 KEYS = list(Job._fields)
-
-# --- Measuring ------------------------------------------------------------------------------------
-
 
 def load(job):
     """The script of a job, with its change, as a module; and its options."""
@@ -77,8 +73,7 @@ def train(job):
 
 
 def last_evaluation(job):
-    rows, _ = train(job)
-    return rows.tail(1)
+    return train(job)[0].tail(1)
 
 
 def git(*command):
@@ -98,7 +93,7 @@ def measured(measure, job, keep=True):
     cpuinfo, origin["processor"] = Path("/proc/cpuinfo"), platform.processor()
     if cpuinfo.exists():  # Linux says it there
         origin["processor"] = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
-    rows = pd.DataFrame(measure(job) if measure else train(job)[0])
+    rows = pd.DataFrame(measure(job))
     packages = "torch", "gymnasium", "mujoco", *{"stable_baselines3"}.intersection(sys.modules)
     origin |= {package: importlib.metadata.version(package) for package in packages}
     return pd.DataFrame(origin, rows.index).join(rows)
@@ -121,7 +116,7 @@ def name_older_commits(rows):
             print(f"{count} jobs were measured with {script} of commit {commit}, not {today}")
 
 
-def main(jobs, draw, measure=None, workers=None):
+def main(jobs, draw, measure=last_evaluation, workers=None):
     """Measure the jobs that have no rows yet, each kept as soon as it is done; then draw."""
     study = sys.modules["__main__"]
     parser = argparse.ArgumentParser(description=study.__doc__)
@@ -129,14 +124,13 @@ def main(jobs, draw, measure=None, workers=None):
     parser.add_argument("--only", default="", metavar="TEXT", help="jobs whose options contain it")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
-    jobs = [job for job in jobs if args.only in job.options]
     if args.quick:
         job = jobs[0]._replace(options=f"{jobs[0].options} --total-steps 256 --num-evals 1")
         return print(measured(measure, job, keep=False).to_string())
     name = Path(study.__file__).stem
     rows = read(name)
     done = set(rows[KEYS].itertuples(index=False, name=None))
-    lacking = [job for job in jobs if job not in done]
+    lacking = [job for job in jobs if job not in done and args.only in job.options]
     if lacking:
         commit_of(*{job.script for job in lacking}, "experiments/study.py",
                   "experiments/variants.py", f"experiments/{name}.py")
@@ -149,7 +143,10 @@ def main(jobs, draw, measure=None, workers=None):
                 rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
-    name_older_commits(read(name))
+    name_older_commits(rows)
+    missing = set(jobs) - set(rows[KEYS].itertuples(index=False, name=None))
+    if missing:
+        return print(f"not drawn, as {len(missing)} jobs have no rows yet")
     tables = draw(read(name))
     print(*tables.values(), sep="\n")
     write_tables(tables)
@@ -175,9 +172,20 @@ def difference(test):
     return Difference((low + high) / 2, (high - low) / 2, test.pvalue)
 
 
-def welch(x, y):
-    """Welch's t-test: the mean of x minus that of y."""
-    return difference(stats.ttest_ind(x, y, equal_var=False))
+def welch(changed, usual):
+    """The mean of the first minus that of the second."""
+    return difference(stats.ttest_ind(changed, usual, equal_var=False))
+
+
+def gain(gains):
+    """Their mean."""
+    return difference(stats.ttest_1samp(gains, 0))
+
+
+def holm(p_values, level=0.05):
+    """Which p-values stay below the level when corrected for their number (Holm 1979)."""
+    passes = np.sort(p_values) <= level / np.arange(len(p_values), 0, -1)
+    return np.logical_and.accumulate(passes)[np.argsort(np.argsort(p_values))]
 
 
 def final_rows(rows):
@@ -188,8 +196,8 @@ def final_rows(rows):
 # --- Tables and figures ---------------------------------------------------------------------------
 
 
-def number(x, digits=0):
-    return f"{round(x, digits) + 0.0:,.{digits}f}".replace("-", "−")  # + 0.0: no "−0"
+def number(value, digits=0):
+    return f"{round(value, digits) + 0.0:,.{digits}f}".replace("-", "−")  # + 0.0: no "−0"
 
 
 def spread(values, digits=0):
@@ -197,23 +205,39 @@ def spread(values, digits=0):
     return f"{number(np.mean(values), digits)} ± {number(np.std(values, ddof=1), digits)}"
 
 
-def listed(values, digits=0):
-    return ", ".join(number(x, digits) for x in values)
+def median(values, digits=0):
+    """With its 95% interval, of the bootstrap."""
+    resampled = stats.bootstrap((values,), np.median, method="percentile", random_state=0)
+    low, high = (number(end, digits) for end in resampled.confidence_interval)
+    return f"{number(np.median(values), digits)} ({low} to {high})"
 
 
 def p_text(p):
     return "< 0.001" if p < 0.001 else f"{p:.2g}"
 
 
+def marked(p_values):
+    """Bold where it holds after Holm's correction; empty where it is unknown."""
+    known = [p for p in p_values if p == p]
+    holds = dict(zip(known, holm(known)))
+    return ["" if p != p else f"**{p_text(p)}**" if holds[p] else p_text(p) for p in p_values]
+
+
 def proportion(passed):
     """How many of how many, and the exact 95% interval of the probability."""
-    low, high = stats.binomtest(passed.sum(), len(passed)).proportion_ci()
-    return f"{passed.sum()} of {len(passed)} ({low:.0%} to {high:.0%})"
+    low, high = stats.binomtest(int(sum(passed)), len(passed)).proportion_ci()
+    return f"{sum(passed)} of {len(passed)} ({low:.0%} to {high:.0%})"
+
+
+def compared(changed, usual):
+    """Four cells: without, with, the difference, p."""
+    gain = welch(changed, usual)
+    return [spread(usual), spread(changed), str(gain), p_text(gain.p)]
 
 
 def table(header, lines):
     """Markdown."""
-    frame = pd.DataFrame([list(line) for line in lines], columns=[str(x) for x in header])
+    frame = pd.DataFrame([list(line) for line in lines], columns=[str(name) for name in header])
     return frame.to_markdown(index=False, disable_numparse=True) + "\n"
 
 
@@ -230,21 +254,30 @@ def write_tables(tables):
         page.write_text("".join(parts), encoding="utf-8")
 
 
-def figure(width, height, rows=1, columns=1, count=None, **options):
-    """A picture with `count` panels, at most rows·columns."""
-    sns.set_theme(style="whitegrid", palette="colorblind")
+def figure(width, height, rows=1, columns=1, **options):
+    """A picture and its panels."""
+    sns.set_theme("talk", "whitegrid", "colorblind", font_scale=0.85)
     picture = Figure(figsize=(width, height), layout="constrained")
-    panels = picture.subplots(rows, columns, squeeze=False, **options).flat
-    for panel in panels[count or len(panels) :]:
-        panel.remove()
-    return picture, panels[:count]
+    return picture, picture.subplots(rows, columns, squeeze=False, **options).ravel()
 
 
 def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
     """Every seed, and the mean in bold."""
-    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, color=color, ax=axis)
+    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, lw=1, color=color,
+                 ax=axis)
     sns.lineplot(rows, x=x, y=y, errorbar=None, linewidth=3, label=label, color=color, ax=axis)
     axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
+
+
+def name_ends(axis, gap=0.08):
+    """In place of a legend: each line's label beside its end, none over another."""
+    place, (low, high) = -np.inf, axis.get_ylim()
+    named = [line for line in axis.lines if not line.get_label().startswith("_")]
+    for line in sorted(named, key=lambda line: line.get_ydata()[-1]):
+        place = max(place + gap * (high - low), line.get_ydata()[-1])
+        axis.annotate(line.get_label(), (line.get_xdata()[-1], place), (6, 0), va="center",
+                      textcoords="offset points", size="small", annotation_clip=False)
+    axis.get_legend().remove()
 
 
 def save(picture, name):

@@ -1,4 +1,4 @@
-"""experiments/: changes, rows, statistics, tables, merged runs."""
+"""experiments/: changes, rows, statistics, tables, peers, merged runs."""
 
 import importlib
 import re
@@ -8,15 +8,14 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-import ablation
-import gymnasium as gym
 import merge
 import numpy as np
 import pandas as pd
+import peers
 import pytest
+import race
 import report
 import study
-import torch
 import trials
 import variants
 from conftest import SCRIPTS
@@ -37,21 +36,6 @@ def test_every_change_applies_and_trains(name, monkeypatch):
                         "--max-kl", limit)
                   for module in (changed, SCRIPTS["ppo_continuous"].module))
     assert not log.drop(columns="seconds").equals(usual.drop(columns="seconds"))
-
-
-def test_the_critic_goes_on_alone():
-    """Below any KL the actor never learns; without a gradient Adam leaves it alone."""
-    module, args = study.load(study.Job("ppo_continuous.py", change="critic-goes-on"))
-    space = module.gym.spaces.Box(-1, 1, (2,))
-    agent = module.Agent(space, space, args.hidden_size)
-    before = {name: x.clone() for name, x in agent.named_parameters()}
-    obs, actions, means = torch.randn(3, 16, 2)
-    log_probs, advantages, targets = torch.randn(3, 16)
-    module.optimise(agent, torch.optim.Adam(agent.parameters(), 0.1),
-                    (obs, actions, means, log_probs, advantages, targets), epochs=2,
-                    minibatch_size=8, clip_eps=0.2, max_kl=-1.0)
-    for name, x in agent.named_parameters():
-        assert torch.equal(x, before[name]) == (x.grad is None) == name.startswith("actor"), name
 
 
 @pytest.mark.parametrize(("tool", "name", "file", "tests"), BLANKS)
@@ -78,37 +62,27 @@ def test_a_change_whose_text_is_gone_is_refused(monkeypatch):
         variants.changed("ppo_continuous.py", "gone")
 
 
-@pytest.mark.parametrize("arguments", [["no-tanh"], ["no-such", "x.py"], ["no-tanh", "x.py", "y"]])
-def test_variants_that_are_called_in_a_wrong_way_say_how(arguments):
-    with pytest.raises(SystemExit, match="usage: .*NAME FILE"):
-        variants.main(arguments)
-
-
-@pytest.mark.parametrize("file", ["ppo_continuous.py", "a2c_vector.py"])
-def test_a_change_replaces_no_script(file, tmp_path, monkeypatch):
+@pytest.mark.parametrize("arguments", [["no-tanh", "ppo_continuous.py"], ["no-tanh"], ["no", "x"]])
+def test_a_change_replaces_no_script_and_needs_a_name_and_a_file(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match=f"not written: {file}"):
-        variants.main(["no-tanh", file])
+    with pytest.raises(SystemExit):
+        variants.main(arguments)
     assert not list(tmp_path.iterdir())
 
 
-def run_study(monkeypatch, jobs, measure, *arguments):
-    monkeypatch.setattr(study, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
-    monkeypatch.setattr(sys, "argv", ["study.py", *arguments])
-    monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
-    study.main(jobs, lambda rows: {}, measure)
-
-
-def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch):
+def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch, capsys):
     """Of three jobs one is known, one is not asked for; the rows say where they come from."""
     measured = []
     monkeypatch.setattr(study, "DATA", tmp_path)
     monkeypatch.setattr(study, "git", lambda verb, *_: "" if verb == "status" else "1234567\n")
+    monkeypatch.setattr(study, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
+    monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
     jobs = [study.Job("ppo_continuous.py", f"--epochs {seed}", seed=seed) for seed in (1, 2, 3)]
-    for known, arguments in (jobs[:1], ()), (jobs, ("--only", "epochs 2")):
-        run_study(monkeypatch, known, lambda job: measured.append(job) or [{"x": job.seed}],
-                  *arguments)
+    for known, arguments in (jobs[:1], []), (jobs, ["--only", "epochs 2"]):
+        monkeypatch.setattr(sys, "argv", ["small.py", *arguments])
+        study.main(known, lambda rows: {}, lambda job: measured.append(job) or [{"x": job.seed}])
     assert measured == jobs[:2]
+    assert "not drawn, as 1 jobs have no rows yet" in capsys.readouterr().out
     rows = study.read("small")
     assert rows["x"].to_list() == [1, 2]
     assert set(rows["commit"]) == {"1234567"}
@@ -125,30 +99,19 @@ def test_a_row_is_an_evaluation_with_the_mean_return_in_training_since_the_last(
     assert study.last_evaluation(study.Job("ppo_continuous.py"))["return"].tolist() == [50]
 
 
-@pytest.fixture
-def repository(tmp_path, monkeypatch):
-    """With one commit of the file x.py; study.ROOT."""
+def test_rows_are_of_what_is_committed_and_older_ones_are_named(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(study, "ROOT", tmp_path)
     (tmp_path / "x.py").write_text("")
     study.git("init")
     study.git("add", "x.py")
     study.git("-c", "user.name=x", "-c", "user.email=x", "commit", "-m", "x")
-    return tmp_path
-
-
-def test_what_is_not_committed_is_not_measured(repository):
-    assert len(study.commit_of("x.py")) >= 7
-    (repository / "x.py").write_text("changed")
-    with pytest.raises(SystemExit, match=r"^not measured, .*: x\.py$"):
-        study.commit_of("x.py")
-
-
-def test_rows_of_an_older_commit_are_named(repository, capsys):
     today = study.commit_of("x.py")
     keys = {"script": "x.py", "options": "", "change": "", "seed": [1, 1, 2, 3]}
     study.name_older_commits(pd.DataFrame(keys | {"commit": ["old", "old", "old", today]}))
-    line = f"2 jobs were measured with x.py of commit old, not {today}\n"
-    assert capsys.readouterr().out == line
+    assert capsys.readouterr().out.startswith("2 jobs were measured with x.py of commit old")
+    (tmp_path / "x.py").write_text("changed")
+    with pytest.raises(SystemExit, match=r"^not measured, .*: x\.py$"):
+        study.commit_of("x.py")
 
 
 def test_a_difference_is_welchs():
@@ -163,7 +126,13 @@ def test_a_difference_is_welchs():
 
 def test_holms_correction():
     """In order: 0.005 < 0.05/4, 0.01 < 0.05/3, but 0.03 > 0.05/2, so 0.04 < 0.05/1 is too late."""
-    assert ablation.holm([0.01, 0.04, 0.03, 0.005]).tolist() == [True, False, False, True]
+    assert study.marked([0.01, 0.04, np.nan, 0.03, 0.005]) == [
+        "**0.01**", "0.04", "", "0.03", "**0.005**"]
+
+
+def test_the_interval_of_a_median_is_of_the_median():
+    """Of three values the median of a sample is either extreme in 7 of 27 cases."""
+    assert study.median([1, 2, 9]) == "2 (1 to 9)"
 
 
 @pytest.fixture(scope="module")
@@ -182,12 +151,11 @@ def test_all_tables_of_the_pages_are_those_of_the_data(tables):
         assert table == tables[name], name
 
 
-@pytest.mark.parametrize("name", report.STUDIES)
+@pytest.mark.parametrize("name", [x for x in report.STUDIES if x != "published"])
 def test_every_row_is_of_a_job_of_its_study(name):
-    rows = study.read(name)
     jobs = importlib.import_module(name).JOBS
     assert len(set(jobs)) == len(jobs)
-    assert set(rows[study.KEYS].itertuples(index=False, name=None)) <= set(jobs)
+    assert set(study.read(name)[study.KEYS].itertuples(index=False, name=None)) <= set(jobs)
 
 
 def test_of_every_file_of_data_is_said_who_wrote_it():
@@ -195,29 +163,67 @@ def test_of_every_file_of_data_is_said_who_wrote_it():
     assert {path.name for path in study.DATA.glob("*.csv")} <= set(named)
 
 
-@pytest.mark.parametrize(("factors", "lost", "taken"), [
-    ([1.3, 1, 1, 1, 1], 10, "yes"), ([1.3, 1.3, 1, 1, 0.9], 10, "no"),
-    ([1.2, 1, 1, 1, 1], 10, "no"), ([1, 1, 1, 1, 1], 5, "yes"), ([1, 1, 1, 1, 1], 6, "no"),
-    ([0.9, 0.9, 1, 1, 1], 0, "no"), ([1.3], 10, "yes"), ([], 0, "no")])
-def test_the_rule_of_trials(factors, lost, taken):
-    """Two seeds of the default, which earn 100 and 300 and lose 10; of the candidate three."""
-    rows = []
-    for seed in 1, 2, 3:
-        for typed, tried in (("", [1] * 5), (" --gae-lambda 0.92", factors))[seed == 3 :]:
-            rows += [(options + typed, seed, x * 100 * (2 * seed - 1), 0)
-                     for options, x in zip(trials.TASKS, tried)]
-            fallen = [lost, 0, 7][seed - 1] if typed else 5
-            rows.append((trials.PENDULUM + typed, seed, 9000, fallen))
-    rows = pd.DataFrame(rows, columns=["options", "seed", "return", "lost"]).assign(change="")
-    other = rows.assign(change="critic-goes-on", **{"return": 1, "lost": 100})
-    rows = pd.concat([rows, other])
-    line = trials.draw(rows)["trials"].splitlines()[-1].split("|")[1:-1]
-    name, *ratios, mean, _, _, usual, answer = (x.strip() for x in line)
-    assert name == "`--gae-lambda 0.92`"
-    assert ratios == [f"{x:.2f} (2)" for x in factors] + [""] * (5 - len(factors))
-    assert usual == "10"
-    assert mean == (f"{np.exp(np.log(factors).mean()):.2f}" if factors else "nan")
-    assert answer == taken
+CLEANRL = """
+from dataclasses import dataclass
+import gymnasium as gym, numpy as np, tyro
+from torch.utils.tensorboard import SummaryWriter
+@dataclass
+class Args:
+    env_id: str; total_timesteps: int; seed: int; cuda: bool
+if __name__ == "__main__":
+    args, writer = tyro.cli(Args), SummaryWriter("runs/x")
+    env = gym.make(args.env_id)
+    env = gym.wrappers.TransformObservation(env, lambda obs: np.clip(obs, -10, 10))
+    env.reset(seed=args.seed)
+    for update in range(1, args.total_timesteps // 2 + 1):
+        print("update", update)
+        for step in 2 * update - 1, 2 * update:
+            writer.add_scalar("charts/episodic_return", step, step)
+        writer.add_scalar("charts/SPS", 1000 + update, 2 * update)
+"""
+
+
+def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch, capsys):
+    """A stand-in, with twenty updates of two steps, in each of which an episode ends."""
+    monkeypatch.setattr(peers, "CLEANRL", str(tmp_path / "ppo.py"))
+    (tmp_path / "ppo.py").write_text(CLEANRL)
+    job = study.Job(peers.FILE, "--total-steps 80", "CleanRL", seed=3)
+    rows = peers.learn(job)
+    assert rows["steps"].to_list() == list(range(4, 81, 4))
+    assert rows["sampled"].to_list() == [x - 1.5 for x in rows["steps"]]  # of steps x − 3 to x
+    assert peers.cleanrl_speed(study.load(job._replace(script="ppo_continuous.py", change=""))[1]) \
+        == 1040
+    assert not capsys.readouterr().out
+    (tmp_path / "ppo.py").write_text(CLEANRL.replace("10)", "9)"))
+    with pytest.raises(ValueError, match="occurs 0 times"):
+        peers.learn(job)
+
+
+def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
+    monkeypatch.setattr(study, "save", lambda *_: None)
+    measured = study.read("race")
+    jobs = [job for job in race.JOBS if job.change == "CleanRL"]
+    rows = pd.DataFrame(jobs).assign(steps=1_000_000, sampled=[job.seed for job in jobs])
+    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], rows]))["race"]
+    lines = [line for line in table.splitlines() if "CleanRL" in line]
+    assert len(lines) == 4
+    for line in lines:
+        assert "| 106 ± 3 " in line
+        assert line.split("|")[-2].strip() == "ours above"
+
+
+@pytest.mark.parametrize(("ratios", "lost", "taken"), [
+    ([1.3, 1, 1, 1, 1], 10, True), ([1.3, 1.3, 1, 1, 0.9], 10, False), ([1] * 5, 5, True),
+    ([1] * 5, 6, False), ([0.9, 0.9, 1, 1, 1], 0, False), ([], 0, False)])
+def test_the_rule_of_trials(ratios, lost, taken):
+    assert trials.taken(ratios, lost, usually_lost=10) == taken
+
+
+def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
+    """Four: lost at once, then again; up when time is up; still up; lost when time is up."""
+    steps = [(0, 0, np.array([1, 0, 0, 0]) > 0, np.zeros(4) > 0),
+             (0, 0, np.array([1, 0, 0, 1]) > 0, np.array([0, 1, 0, 1]) > 0)]
+    assert trials.count_lost(steps) == 1
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
@@ -235,20 +241,5 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
     assert f"has not ended: {cut}.csv" in out
     assert (tmp_path / "merged.png").exists()
-
-
-def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
-    """Episodes of 3 steps: the limit is met in each, missed by one, or far."""
-    for limit, lost in (2, 0), (3, 0), (4, 2):
-        envs = gym.make_vec("harness:ThreeSteps-v0", 2, "sync", max_episode_steps=limit)
-        counting = trials.CountLost(envs)
-        counting.reset(seed=1)
-        for _ in range(9):
-            counting.step(envs.action_space.sample())
-        assert counting.lost == lost
-
-
-def test_folders_without_a_run_get_the_usage(tmp_path):
-    for folders in [], [tmp_path / "no-such"]:
-        with pytest.raises(SystemExit, match="usage: .*FOLDER"):
-            merge.main(folders)
+    with pytest.raises(SystemExit, match="usage: .*FOLDER"):
+        merge.main([tmp_path / "no-such"])

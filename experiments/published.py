@@ -1,0 +1,54 @@
+"""Numbers that no study measures anew: published returns of PPO against ours, and early trials.
+
+published.csv holds the highest final mean of several seeds within a million steps that we know of,
+earlier_trials.csv what the defaults were chosen by; ours are those of `returns`.
+"""
+
+import pandas as pd
+import returns
+import study
+from scipy import stats
+from study import number
+
+EARLIER = ((4, "minibatches of 64, learning rate 3e-4"),  # stages, changes
+           (5, "one environment, rollouts of 2048 steps"),
+           (5, "KL once an epoch, over the whole rollout"))
+
+
+def compare(other, finals):
+    """Cells of a table, and p; ours are measured as theirs were."""
+    runs = finals[finals["options"] == returns.TASKS[other["task"]]]
+    ours, digits = runs["sampled" if other["sampled"] else "return"], int(abs(other["mean"]) < 100)
+    theirs = f"{number(other['mean'], digits)} ± {number(other['std'], digits)}"
+    p = stats.ttest_ind_from_stats(ours.mean(), ours.std(), len(ours), other["mean"], other["std"],
+                                   other["seeds"], equal_var=False).pvalue
+    return [other["task"], f"{theirs.removesuffix(' ± nan')} {other['source']}", other["handicap"],
+            study.spread(ours, digits), "training" if other["sampled"] else "evaluation"], p
+
+
+def earlier_lines():
+    """Of a table: a change, a task, pairs of a seed, what they gain."""
+    rows = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#").fillna({"change": ""})
+    for stage, change in EARLIER:
+        of_stage = rows[(rows["stage"] == stage) & rows["change"].isin(["", change])]
+        keys = ["env_id", "total_steps", "seed", "change"]
+        pairs = of_stage.set_index(keys)["return_at_100"].unstack().dropna()
+        for task, gains in (pairs[change] - pairs[""]).groupby("env_id"):
+            several = len(gains) > 2
+            yield [change, task, len(gains), str(study.gain(gains))
+                   if several else ", ".join(map(study.number, gains))]
+
+
+def draw(published):
+    finals = study.final_rows(study.read("returns"))
+    tables = {"earlier": study.table(["change", "task", "pairs", "gain"], earlier_lines())}
+    for same_version, others in published.groupby("same_version"):
+        lines, p_values = zip(*(compare(other, finals) for _, other in others.iterrows()))
+        tables["published" if same_version else "older versions"] = study.table(
+            ["task", "published", "what to know", "ours", "in", "p"],
+            [[*line, p] for line, p in zip(lines, study.marked(p_values))])
+    return tables
+
+
+if __name__ == "__main__":
+    study.write_tables(draw(study.read("published")))
