@@ -33,8 +33,8 @@ FILMS = {  # task: film, steps for a frame, milliseconds, camera, scenes: steps 
         (40, "before: the pole falls"), (120, "after: pushed, the pole stands")]),
     "LunarLander-v3": ("a2c_vector", 4, 80, {}, [
         (104, "before: it crashes"), (290, "after a million steps: it lands")]),
-    "InvertedDoublePendulum-v5": ("ppo_continuous", 1, 50, camera(3.4, 0.5), [
-        (16, "before: it falls"), (70, "after 150,000 steps: it stands")]),
+    "InvertedDoublePendulum-v5": ("ppo_continuous", 1, 50, camera(3.0, 0.4), [
+        (16, "before: it falls"), (70, "after: pushed, it stands")]),
     "HalfCheetah-v5": ("cheetah", 1, 50, {
         "width": WIDTH, "height": HEIGHT, "camera_name": "track"}, [
         (30, "before: {:.0f} m/s"), (70, "after a million steps: {:.0f} m/s")]),
@@ -66,6 +66,8 @@ def decorate(env, task, step, pushed):
         mark(env, [(first + x, 1.5, 0.25) for x in range(-6, 7, 2)],
              type=mujoco.mjtGeom.mjGEOM_BOX, size=np.array([0.04, 0.04, 0.25]),
              rgba=np.array([0.1, 0.2, 0.6, 1.0]))
+    if task == "InvertedDoublePendulum-v5":
+        env.model.geom_rgba[0, 3] = 0.0  # no floor
     if pushed and step % 40 in range(5, 17):
         x = env.data.qpos[0] - 0.55 * pushed
         turn = [0, 0, pushed, 0, 1, 0, -pushed, 0, 0]  # from the z-axis to ± x
@@ -84,7 +86,7 @@ def play(module, args, weights, steps, words):
     frames, speed = [], 0.0
     obs, _ = env.reset(seed=3)
     for step in range(steps):
-        pushed = (-1) ** (step // 40) if weights and args.env_id == "InvertedPendulum-v5" else 0
+        pushed = (-1) ** (step // 40) if weights and "Pendulum" in args.env_id else 0
         if step % steps_a_frame == 0:
             decorate(env, args.env_id, step, pushed)
             frames.append(frame(env.render(), words.format(speed)))
@@ -94,7 +96,7 @@ def play(module, args, weights, steps, words):
         elif args.env_id == "InvertedPendulum-v5":
             action = action.clip(env.action_space.low, env.action_space.high)
         if pushed and step % 40 == 5:
-            env.data.qvel[1] += 1.5 * pushed  # radians a second
+            env.data.qvel[1] += pushed * (0.3 if "Double" in args.env_id else 1.5)  # radians a second
         obs, _, _, _, info = env.step(action)
         speed += 0.2 * (info.get("x_velocity", 0) - speed)  # the mean of some five steps
     env.close()
