@@ -45,6 +45,7 @@ class Job(NamedTuple):
 
 KEYS = list(Job._fields)
 
+
 def load(job):
     """The script of a job, with its change, as a module; and its options."""
     module = ModuleType(job.script.removesuffix(".py"))

@@ -54,7 +54,7 @@ def measure(job):
 def taken(ratios, lost, usually_lost):
     """The rule."""
     mean = stats.gmean(ratios) if len(ratios) else 0
-    return (mean >= 1.05 and min(ratios) >= 0.92) or (2 * lost <= usually_lost and mean >= 0.98)
+    return (mean >= 1.05 and min(ratios) >= 0.92) or (2 * lost <= usually_lost > 0 and mean >= 0.98)
 
 
 def draw(rows):

@@ -212,11 +212,12 @@ def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
         assert line.split("|")[-2].strip() == "ours above"
 
 
-@pytest.mark.parametrize(("ratios", "lost", "taken"), [
-    ([1.3, 1, 1, 1, 1], 10, True), ([1.3, 1.3, 1, 1, 0.9], 10, False), ([1] * 5, 5, True),
-    ([1] * 5, 6, False), ([0.9, 0.9, 1, 1, 1], 0, False), ([], 0, False)])
-def test_the_rule_of_trials(ratios, lost, taken):
-    assert trials.taken(ratios, lost, usually_lost=10) == taken
+@pytest.mark.parametrize(("ratios", "lost", "usually", "taken"), [
+    ([1.3, 1, 1, 1, 1], 10, 10, True), ([1.3, 1.3, 1, 1, 0.9], 10, 10, False),
+    ([1] * 5, 5, 10, True), ([1] * 5, 6, 10, False), ([1] * 5, 0, 0, False),
+    ([0.9, 0.9, 1, 1, 1], 0, 10, False), ([], 0, 10, False)])
+def test_the_rule_of_trials(ratios, lost, usually, taken):
+    assert trials.taken(ratios, lost, usually) == taken
 
 
 def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
