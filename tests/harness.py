@@ -122,13 +122,10 @@ class World(gym.Env):
         assert np.asarray(action).dtype == self.action_space.dtype
         self.steps += 1
         self.total += 1
-        return self.observe(), self.reward(action), self.steps == self.length, False, self.info()
+        return self.observe(), self.reward(action), self.steps == self.length, False, {}
 
     def reward(self, action):
         return 1.0
-
-    def info(self):
-        return {}
 
 
 class Target(World):
