@@ -69,19 +69,15 @@ def spy(monkeypatch, module, name, keep):
     return kept
 
 
-def spy_rollouts(monkeypatch, module, change=lambda agent, batch: batch):
-    """A list of (the agent as it played, its transitions, the agent itself).
-
-    `change` may replace the transitions.
-    """
+def spy_rollouts(monkeypatch, module, change=lambda batch: batch):
+    """A list of (the agent as it played, its transitions), which `change` may replace."""
     kept, rollout = [], module.rollout
 
     def spied(envs, agent, *rest):
         player = copy.deepcopy(agent)
         batch, obs, returns = rollout(envs, agent, *rest)
-        batch = change(agent, batch)
-        kept.append((player, batch, agent))
-        return batch, obs, returns
+        kept.append((player, change(batch)))
+        return kept[-1][1], obs, returns
 
     monkeypatch.setattr(module, "rollout", spied)
     return kept
@@ -123,15 +119,13 @@ class World(gym.Env):
 
     def step(self, action):
         assert self.action_space.contains(action), f"{action!r} is out of bounds"
+        assert np.asarray(action).dtype == self.action_space.dtype
         self.steps += 1
         self.total += 1
-        return self.observe(), self.reward(action), self.steps == self.length, False, self.info()
+        return self.observe(), self.reward(action), self.steps == self.length, False, {}
 
     def reward(self, action):
         return 1.0
-
-    def info(self):
-        return {}
 
 
 class Target(World):

@@ -44,9 +44,9 @@ def test_environments_in_processes_change_no_number(start_method, count, tmp_pat
     """Started as usual here, or spawned as on other systems, which takes seconds for each."""
     context = multiprocessing.get_context(start_method)
     monkeypatch.setattr(multiprocessing, "get_context", lambda *_: context)
-    sync, async_ = (
-        SCRIPTS["a2c_vector"].train(tmp_path / kind, "--vectorization", kind, "--num-envs", count)
-        for kind in ("sync", "async"))
+    sync, async_ = (SCRIPTS["a2c_vector"].train(
+        tmp_path / kind, "--vectorization", kind, "--num-envs", count, "--randomize",
+        env_id="LunarLander-v3") for kind in ("sync", "async"))
     pd.testing.assert_frame_equal(
         read_log(f"{sync}.csv"), read_log(f"{async_}.csv"), check_exact=True)
 
@@ -61,26 +61,18 @@ def physics_in_force(env):
     return {name: getattr(env, name) for name in PHYSICS}
 
 
-def draw_physics(vectorization):
-    """What two environments draw for two episodes, for the seeds 1, 2 and 1 again."""
-    args = SCRIPTS["a2c_vector"].args("--randomize", "--vectorization", vectorization)
-    envs = a2c.make_envs(args, 2, vectorization, autoreset_mode="Disabled")
-    drawn = []
-    for seed in 1, 2, 1:
-        for env_seeds in a2c.make_seeds(seed, stream=2, count=2), None:
-            envs.reset(seed=env_seeds)
-            drawn.append([list(x) for x in zip(*map(envs.unwrapped.get_attr, PHYSICS))])
-    envs.close()
-    return drawn
+def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_other_draws():
+    """Those of the environment itself, and of the episode before.
 
-
-def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_the_environment_s_draws():
-    """In 400 episodes; a correlation of 0.3 is six standard errors, so are 0.15 of wind."""
+    In 400 episodes; a correlation of 0.3 is six standard errors, so are 0.15 of wind.
+    """
     env, drawn = a2c.RandomPhysics(gym.make("LunarLander-v3")), []
     for seed in torch.randint(2**31, (400,)).tolist():
         env.reset(seed=seed)
-        own = np.random.default_rng(seed).random(8)
-        drawn.append({**physics_in_force(env), **dict(enumerate(own))})
+        first, own = physics_in_force(env), np.random.default_rng(seed).random(8)
+        env.reset()
+        last = {f"last {name}": x for name, x in physics_in_force(env).items()}
+        drawn.append({**first, **last, **dict(enumerate(own))})
     drawn = pd.DataFrame(drawn).astype(float)
     for name, low, high in zip(NAMES, (-11.99, 0, 0), (-7, 20, 2)):
         margin = 0.05 * (high - low)
@@ -91,14 +83,3 @@ def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_the_en
     for name in PHYSICS:
         others = drawn.corr()[name].drop(name).abs()
         assert others.max() < 0.3, f"{name} depends on {others.idxmax()}: how are they drawn?"
-
-
-@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
-def test_physics_differ_between_environments_episodes_and_seeds_and_repeat_with_the_seed():
-    """And several processes draw what a single one would."""
-    first, second, other_first, other_second, again, again_second = draw_physics("sync")
-    assert draw_physics("async")[:2] == [first, second]
-    assert [first, second] == [again, again_second]
-    drawn = first + second + other_first + other_second
-    for values in [*zip(*drawn)][:3]:  # gravity, wind power, turbulence
-        assert len(set(values)) == len(values) == 8

@@ -20,16 +20,19 @@ def test_weights_are_orthogonal_with_their_gains_and_biases_zero(script, network
 
 @torch.no_grad()
 def test_the_policy_that_learns_is_the_one_that_acts(script):
-    """Six standard errors are allowed, which chance misses once in 10⁹ times."""
+    """By chance (six standard errors are allowed: once in 10⁹ times), or at its best."""
     agent, count = script.agent(script.world("ThreeSteps")), 20_000
     agent.actor[-1].bias.data = torch.linspace(-1.5, 0.5, len(agent.actor[-1].bias))
     obs = np.float32([[1, 2]]).repeat(count, axis=0)
     actions, policy = torch.tensor(agent.act(obs)), agent.policy(torch.tensor(obs[:1]))
+    best = torch.tensor(agent.act(obs[:1], deterministic=True))
     if script.name == "a2c_vector":
         probs = policy.log_prob(torch.arange(3)).exp()
+        assert best == probs.argmax()
         chance = 6 * (probs * (1 - probs) / count).sqrt()
         assert ((actions.bincount() / count - probs).abs() < chance).all()
     else:
+        assert torch.equal(best, policy.mean)
         noise = (actions - policy.mean) / policy.stddev
         assert noise.mean(0).abs().max() < 6 / count**0.5
         torch.testing.assert_close(noise.T.cov(), torch.eye(2), rtol=0, atol=6 * (2 / count)**0.5)

@@ -108,8 +108,8 @@ def test_numbers_out_of_range_and_no_numbers_are_named(script, refusal):
                 values += ["1.001"]
             for value in values:
                 assert f"argument {flag}: " in refusal(script, f"{flag}={value}")
-    args = script.args("--total-steps", "1e6", "--seed", "1e3", "0", "--gamma", 1)
-    assert repr((args.total_steps, args.seed, args.gamma)) == "(1000000, [1000, 0], 1.0)"
+    args = script.args("--total-steps", "1e6", "--seed", "1e3", "0")
+    assert repr((args.total_steps, args.seed)) == "(1000000, [1000, 0])"
 
 
 def test_what_is_no_agent_is_refused(script, refusal, tmp_path):
@@ -130,12 +130,3 @@ def test_what_is_no_agent_is_refused(script, refusal, tmp_path):
         error = refusal(script, "--watch", "other.pt")
         assert "--watch other.pt" in error
         assert other.file in error
-
-
-def test_help_says_in_ascii_what_every_option_does(script, call, capsys):
-    """argparse shows a default only beside words."""
-    with pytest.raises(SystemExit):
-        call(script, "--help")
-    text = capsys.readouterr().out
-    assert text.isascii()
-    assert " ".join(text.split()).count("(default: ") == len(vars(script.args()))

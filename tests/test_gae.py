@@ -72,9 +72,9 @@ def test_training_keeps_statistics_of_all_observations_before_the_present_rollou
     rollouts = spy_rollouts(monkeypatch, script.module)
     train(monkeypatch, script.module, "--env-id", script.world("Uneven"), "--num-envs", 4,
           "--rollout-steps", 25, "--total-steps", 400)
-    assert [player.obs_stats.count for player, *_ in rollouts] == [0, 100, 200, 300]
+    assert [player.obs_stats.count for player, _ in rollouts] == [0, 100, 200, 300]
     for i in 1, 2, 3:
-        rows = torch.cat([batch.obs.flatten(0, 1) for _, batch, _ in rollouts[:i]])
+        rows = torch.cat([batch.obs.flatten(0, 1) for _, batch in rollouts[:i]])
         torch.testing.assert_close(rollouts[i][0].obs_stats.mean, rows.mean(0))
         torch.testing.assert_close(rollouts[i][0].obs_stats.var, rows.var(0, correction=0))
 
@@ -127,13 +127,13 @@ def test_an_update_gets_the_estimates_of_the_agent_that_played(
         return metrics
 
     monkeypatch.setattr(script.module, "optimise", watched)
-    rollouts = spy_rollouts(monkeypatch, script.module, lambda _, batch: (
+    rollouts = spy_rollouts(monkeypatch, script.module, lambda batch: (
         batch._replace(rewards=torch.randn(batch.rewards.shape))))
     log = train(monkeypatch, script.module, "--env-id", script.world(world), "--num-envs", 4,
                 "--rollout-steps", rollout_steps, "--total-steps", 12 * rollout_steps,
                 "--gamma", 0.9, "--gae-lambda", 0.7, *options)
     assert len(rollouts) == 3
-    for (player, batch, _), (learner, samples, metrics), (_, row) in zip(
+    for (player, batch), (learner, samples, metrics), (_, row) in zip(
             rollouts, updates, log.iterrows(), strict=True):
         torch.testing.assert_close(player.state_dict(), learner.state_dict(), rtol=0, atol=0)
         with torch.no_grad():

@@ -14,8 +14,6 @@ from torch.distributions import Normal, kl_divergence
 import ppo_continuous as ppo
 
 pytestmark = pytest.mark.usefixtures("float64")
-SIZES = ["--num-envs", 4, "--rollout-steps", 25, "--minibatch-size", 34, "--total-steps", 100,
-         "--max-kl", 1e9]
 SIGMA = torch.tensor([0.6, 0.3])
 
 
@@ -146,8 +144,8 @@ def test_a_kl_above_max_kl_ends_all_epochs_before_the_next_step():
 def test_training_learns_from_scaled_rewards_and_episodes_span_rollouts(monkeypatch):
     """Reward 1: F is 1, 1 + γ, 1 + γ + γ², …, and 1 again after the time limit of 8 steps."""
     seen = spy(monkeypatch, ppo, "compute_gae", lambda rewards, *_, **__: rewards)
-    train(monkeypatch, ppo, "--env-id", "harness:Forever-v0", *SIZES, "--gamma", 0.8,
-          "--total-steps", 300)
+    train(monkeypatch, ppo, "--env-id", "harness:Forever-v0", "--num-envs", 4,
+          "--rollout-steps", 25, "--total-steps", 300, "--gamma", 0.8)
     assert len(seen) == 3
     for i, rewards in enumerate(seen):
         F = [sum(0.8**k for k in range(t % 8 + 1)) for t in range(25 * (i + 1))]

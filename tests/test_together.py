@@ -68,10 +68,9 @@ def test_the_first_update_is_that_of_one_process_with_all_environments(together,
     *_, first, second = together
     shares = iter(second)
 
-    def with_the_others(agent, batch):
+    def with_the_others(batch):
         other = next(shares)["batch"]
-        return ppo.Transitions(
-            *[torch.cat([mine, other[name]], 1) for name, mine in batch._asdict().items()])
+        return batch._make(torch.cat([x, other[name]], 1) for name, x in batch._asdict().items())
 
     rollouts = spy_rollouts(monkeypatch, ppo, with_the_others)
     train(monkeypatch, ppo, *SMALL, "--total-steps", 192)
