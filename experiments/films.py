@@ -37,7 +37,7 @@ FILMS = {  # task: film, steps for a frame, milliseconds, camera, scenes: steps 
         (16, "before: it falls"), (70, "after: pushed, it stands")]),
     "HalfCheetah-v5": ("cheetah", 1, 50, {
         "width": WIDTH, "height": HEIGHT, "camera_name": "track"}, [
-        (30, "before: {:.0f} m/s"), (70, "after a million steps: {:.0f} m/s")]),
+        (30, "before: {} m/s"), (70, "after a million steps: {} m/s")]),
 }
 
 
@@ -89,14 +89,15 @@ def play(module, args, weights, steps, words):
         pushed = (-1) ** (step // 40) if weights and "Pendulum" in args.env_id else 0
         if step % steps_a_frame == 0:
             decorate(env, args.env_id, step, pushed)
-            frames.append(frame(env.render(), words.format(speed)))
+            frames.append(frame(env.render(), words.format(round(speed))))
         action = agent.act(np.array(obs, float)[None], deterministic=bool(weights))[0]
         if hasattr(module, "squash"):
             action = module.squash(action, env.action_space)
         elif args.env_id == "InvertedPendulum-v5":
             action = action.clip(env.action_space.low, env.action_space.high)
         if pushed and step % 40 == 5:
-            env.data.qvel[1] += pushed * (0.3 if "Double" in args.env_id else 1.5)  # radians a second
+            radians_a_second = 0.3 if "Double" in args.env_id else 1.5
+            env.data.qvel[1] += pushed * radians_a_second
         obs, _, _, _, info = env.step(action)
         speed += 0.2 * (info.get("x_velocity", 0) - speed)  # the mean of some five steps
     env.close()
