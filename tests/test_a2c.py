@@ -80,6 +80,7 @@ def test_physics_fill_their_ranges_one_by_one_and_have_nothing_to_do_with_other_
         assert high >= drawn[name].max() > high - margin, f"{name} is never near {high}"
     assert 0.35 < drawn["enable_wind"].mean() < 0.65, "there should be wind in half of all episodes"
     assert abs(drawn["enable_wind"].autocorr()) < 0.3, "wind is not drawn, but comes in turns"
+    assert drawn.corr().notna().all(axis=None), "a number is the same in all episodes"
     for name in PHYSICS:
         others = drawn.corr()[name].drop(name).abs()
         assert others.max() < 0.3, f"{name} depends on {others.idxmax()}: how are they drawn?"
