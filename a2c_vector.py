@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # At least 1e-8 of the mean, because less is rounding, and 1e-15: no division by 0.
+        # At least 1e-8·|mean|, below which it is rounding, and at least 1e-15, so never 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -212,16 +212,17 @@ def policy_loss(log_probs, advantages):
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
 
-    as A_t has, given s_t and a_t, the mean of the bracket (only nearly, because it discounts and
-    relies on V) and far less noise. The mean in the loss only rescales the gradient. The actions
-    must come from π as it is now, so a rollout serves for one step only.
+    as A_t has nearly the mean of the bracket, given s_t and a_t, and far less noise (nearly, for it
+    discounts and relies on V). The mean in the loss only rescales the gradient. The actions must
+    come from π as it is now, so a rollout serves for one step only.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
-    # Mean 0, standard deviation 1, so that c and the actor's clipping suit rewards of any size.
+    # Mean 0 (the mean acts as a baseline, like V) and standard deviation 1, so that c and the
+    # actor's clipping suit rewards of any size.
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), standardised)
@@ -247,11 +248,11 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         sync     N·step
         async    N·step/cores + N·message        at best, with at most N cores
 
-    Here cores are those that nothing else uses, as other seeds would, and a message there and back
-    takes some 0.04 ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step
-    takes more than 0.08 ms. One on the moon takes 0.03 ms. (The column `seconds` of the log tells.)
-    Evaluations always take sync: only then do the seeds that `evaluate` gives to the generators of
-    this process reach the environments, too.
+    Here cores are idle ones (other seeds take some), and a message there and back takes some 0.04
+    ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step takes longer than
+    0.08 ms. One on the moon takes 0.03 ms, so async never pays there. (The log's `seconds` tell.)
+    Evaluations are always sync: `evaluate` seeds the global generators of this process, so an
+    environment that draws from them must live in it.
 
     By default ("NextStep") a vector resets an environment in the step after the end of its episode.
     That step ignores the action and earns nothing: a transition that never happened, from which an
@@ -295,8 +296,9 @@ class RandomPhysics(gym.Wrapper):
     For another environment write such a wrapper, and put it and the environment's name into
     `make_envs`, in place of these. Draw from ranges as wide as your doubts (this moon allows a
     gravity between −12 and 0, and recommends these winds), and set the numbers before the
-    environment's own reset. Nothing checks them any more, and what its `__init__` has derived from
-    others must be computed anew. For CartPole, between the first lines of `reset` and its last:
+    environment's own reset. Only its `__init__` checks them, so now nobody does; and what it has
+    derived from them must be computed anew. For CartPole, between the first lines of `reset` and
+    its last:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
@@ -320,7 +322,7 @@ class RandomPhysics(gym.Wrapper):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -342,7 +344,7 @@ def train(index, args, folder):
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
             # 4. Estimate advantages and targets; in 5 they are constants, so that only V moves.
-            with torch.no_grad():  # next_obs: the next row of obs may be another episode's
+            with torch.no_grad():  # next_obs, as the next row of obs may be another episode's
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -380,7 +382,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=1_000_000, help="environment steps in all")
+    add("--total-steps", type=in_range(int, 1), default=1_000_000, help="steps of each agent")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -418,7 +420,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different in each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
@@ -432,8 +434,8 @@ def make_repeatable(seed):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Often all environments of a class share its spaces; but an evaluation, which seeds them, must
-    not change what training draws.
+    Some classes share their spaces among all environments; but an evaluation, which seeds them,
+    must not change what training draws.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -441,8 +443,8 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # no error where the class has a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {}
+                vars(self.unwrapped)[name] = space  # setattr would fail on a property
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # {}: a mask was in it
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -460,7 +462,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. It calls `before_step(step)` before each.
+    ends after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -471,7 +473,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # others went on with another episode, which did not count
+        if not playing.any():  # those that are done play on, but this does not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -523,7 +525,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the episodes that ended in an update's data. Below: each metric.
+    Pale: the mean return of training episodes that ended in an update. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -550,14 +552,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:
+        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
-        sys.exit(" ".join(line.split()))  # without line breaks
+        sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
-              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
+              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

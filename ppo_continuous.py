@@ -17,29 +17,28 @@ reward r, until the episode ends. We want a high *return*, the sum of all reward
 neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
-    the critic  V(s)                        what to expect from s on if we follow π: the mean of
-                                            r_t + γ·r_{t+1} + γ²·r_{t+2} + …, with γ < 1
+    the critic  V(s)                        what to expect from s on with π: the mean *reward to go*
+                                            G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-With γ a little below 1, rewards more than some 1/(1−γ) steps later hardly count: they owe little to
-this action and would mostly add noise. The *advantage* A of an action is how much better what
-follows it is, on average, than what follows an action of π; a rollout gives a noisy estimate of it:
-what followed, minus V(s). Actions with A > 0 become more likely, those with A < 0 less. A2C
-(advantage actor-critic) takes one gradient step on a rollout and throws it away. PPO [1] takes
-many, so each rollout teaches more. But it shows only what π_old did, the policy that collected it,
-so π must stay near π_old. One update:
+With γ a little below 1, rewards count less and less beyond some 1/(1−γ) steps: they owe little to
+this action and would mostly add noise. The *advantage* A of an action is how much higher G is, on
+average, after it than after an action drawn from π; a rollout gives a noisy estimate: G − V(s).
+Actions with A > 0 become more likely, those with A < 0 less. A2C (advantage actor-critic) takes one
+gradient step on a rollout and throws it away. PPO [1] takes many, so each rollout teaches more. But
+a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
-  4. Estimate the advantages A (GAE [2]). A + V(s) then estimates what follows: the target for V.
+  4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
      with A standardised. But before each step measure KL(π_old ‖ π), how far π has moved. Once it
      is above max_kl, skip the remaining steps and go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Points 2, 4 and 5 are PPO. The rest are details that help: common ones [4] are the falling rate, 3,
-6, max_kl, standardised A and the initial weights; ours are the schedule of σ, and tanh, which keeps
+2, 4 and 5 are PPO, the rest are details that help. Common ones [4] are the falling rate, 3, 6,
+max_kl, standardised A and the initial weights; ours are the schedule of σ, and tanh, which keeps
 actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
@@ -114,7 +113,7 @@ class RunningStatistics(nn.Module):
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # At least 1e-8 of the mean, because less is rounding, and 1e-15: no division by 0.
+        # At least 1e-8·|mean|, below which it is rounding, and at least 1e-15, so never 0.
         std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
         return ((x - self.mean) / std).clamp(-10, 10).float()
 
@@ -237,9 +236,9 @@ def policy_loss(ratio, advantages, clip_eps):
 
     in one state. Summed with weights γ^t over the states that π meets, that is the exact gain in
     discounted return [5]. PPO takes the states that π_old has met instead, which is nearly the same
-    while π is near π_old, and drops γ^t: raise E[ρ·A].
-    At ρ = 1, where an update starts, its gradient is E[A·∇log π], as in A2C. Farther away the
-    estimate gets worse, so a sample drops out once ρ has gone far enough in the direction of A:
+    while π is near π_old, and drops γ^t: raise E[ρ·A]. At ρ = 1, where an update starts, its
+    gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away the estimate gets worse,
+    so a sample drops out once ρ has gone far enough in the direction of A:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -271,7 +270,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so that no scale of A sets the step
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so the step ignores A's scale
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
             optimizer.step()
@@ -283,7 +282,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -307,14 +306,14 @@ def train(index, args, folder):
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():  # next_obs: the next row of obs may be another episode's
+            with torch.no_grad():  # next_obs, as the next row of obs may be another episode's
                 old_pi = agent.policy(batch.obs)
                 old_log_probs = old_pi.log_prob(batch.actions).sum(-1)
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
             targets = advantages + values
-            # 5. Update actor and critic, on samples in no order: (T, N, …) -> (T·N, …).
+            # 5. Update actor and critic, on one list of samples: (T, N, …) -> (T·N, …).
             samples = (batch.obs, batch.actions, old_pi.mean, old_log_probs, advantages, targets)
             metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
                                epochs=args.epochs, minibatch_size=args.minibatch_size,
@@ -349,7 +348,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=150_000, help="environment steps in all")
+    add("--total-steps", type=in_range(int, 1), default=150_000, help="steps of each agent")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -388,7 +387,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different in each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
@@ -419,8 +418,8 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Often all environments of a class share its spaces; but an evaluation, which seeds them, must
-    not change what training draws.
+    Some classes share their spaces among all environments; but an evaluation, which seeds them,
+    must not change what training draws.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -428,8 +427,8 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # no error where the class has a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {}
+                vars(self.unwrapped)[name] = space  # setattr would fail on a property
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # {}: a mask was in it
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -447,7 +446,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. It calls `before_step(step)` before each.
+    ends after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -458,7 +457,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # others went on with another episode, which did not count
+        if not playing.any():  # those that are done play on, but this does not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -510,7 +509,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the episodes that ended in an update's data. Below: each metric.
+    Pale: the mean return of training episodes that ended in an update. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -537,14 +536,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:
+        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
-        sys.exit(" ".join(line.split()))  # without line breaks
+        sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
-              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
+              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

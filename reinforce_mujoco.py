@@ -37,8 +37,8 @@ learns by trial and error: actions followed by high rewards become more likely.
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
 order of 1). If a time limit cuts an episode off, V(s_T) stands for the missing rewards [3], so the
-critic learns with every baseline. Nothing is rescaled: observations, actions and rewards should be
-of the order of 1.
+critic is trained with every baseline. Nothing is rescaled: observations, actions and rewards should
+be of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -177,7 +177,8 @@ def policy_loss(log_probs, advantages):
     A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step down the loss is a
     step up the mean return. The loss differs from the formula as follows:
       - a mean over the batch's steps, so gradients do not grow as episodes get longer;
-      - γ < 1 counts late rewards less: some bias, less noise. The factor γ^t of [2] is left out;
+      - γ < 1 counts late rewards less: some bias, less noise. [2] also multiplies by γ^t, which
+        we leave out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
     """
@@ -190,12 +191,13 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     # Detached, as the actor's loss must not train the critic.
     advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
     policy = agent.policy(obs)
-    loss_pi = policy_loss(policy.log_prob(actions).sum(-1), advantages)
+    log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: densities multiply
+    loss_pi = policy_loss(log_probs, advantages)
     loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # The share of G's variance that V explains: 1 all, 0 or less none (or G hardly varies).
+    # Near 1 V predicts G well; 0 or less: no better than a constant, or G hardly varies.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -206,18 +208,18 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # `main` may stop other seeds by SIGTERM. Like Ctrl-C, it then still closes the environments.
+    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # together: faster
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # one network call for all
           closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # the one itself, which waits for `play` to reset it
+        (env,) = envs.envs  # which, unlike the vector, does not reset itself
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-        env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` resets it without a seed
+        env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` then draws new starts
         while env_step < args.total_steps:
             optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
             # 1. Play.
@@ -254,7 +256,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=100_000, help="environment steps in all")
+    add("--total-steps", type=in_range(int, 1), default=100_000, help="steps of each agent")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -286,7 +288,7 @@ def in_range(kind, low, high=1e12):
 
 
 def make_seeds(seed, stream, count):
-    """Seeds below 2³¹, others in each stream: 0 global generators, 1 evaluation, 2 training."""
+    """Seeds below 2³¹, different in each stream: 0 global generators, 1 evaluation, 2 training."""
     return (np.random.SeedSequence([seed, stream]).generate_state(count) // 2).tolist()
 
 
@@ -313,8 +315,8 @@ def make_envs(args, count, **kwargs):
 class Tidy(gym.Wrapper):
     """An environment that clips actions, insists on finite numbers, and has spaces of its own.
 
-    Often all environments of a class share its spaces; but an evaluation, which seeds them, must
-    not change what training draws.
+    Some classes share their spaces among all environments; but an evaluation, which seeds them,
+    must not change what training draws.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -322,7 +324,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # no error where the class has a property
+                vars(self.unwrapped)[name] = space  # setattr would fail on a property
         return self.look(self.env.reset(seed=seed)[0]), {}
 
     def step(self, action):
@@ -348,7 +350,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
     It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. It calls `before_step(step)` before each.
+    ends after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -359,7 +361,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # others went on with another episode, which did not count
+        if not playing.any():  # those that are done play on, but this does not count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -411,7 +413,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the episodes that ended in an update's data. Below: each metric.
+    Pale: the mean return of training episodes that ended in an update. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -438,14 +440,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:
+        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
-        line = f"--env-id {args.env_id} --out-dir {args.out_dir}: {error}"
-        sys.exit(" ".join(line.split()))  # without line breaks
+        sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes of evaluations, in REINFORCE all, end "
-              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
+              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -68,7 +68,7 @@ def test_spaces_that_do_not_fit_are_named_and_the_environment_is_closed(
     ("--env-id no_such_module:Some-v0", "no_such_module"),
     ("--env-id harness:NoSuchWorld-v0", "NoSuchWorld"), ("--seed 1 2 1", "--seed"),
     ("--no-such-option 1", "--no-such-option"), ("--lr 1", "--lr"),
-    ("--env-id {env_id} --out-dir file", "'file/"),
+    ("--env-id {env_id} --out-dir file", "--out-dir file: "),
     ("--watch no/such/file", "--watch no/such/file: "), ("--watch .", "--watch .: "),
     ("--watch empty.csv", "--watch empty.csv: ")])
 def test_what_is_wrong_is_named_in_one_line(script, arguments, words, refusal, tmp_path):
