@@ -71,10 +71,10 @@ def draw(rows):
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
     for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
         curve = curve.rename_axis("steps").melt(ignore_index=False, value_name="return")
-        sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("se", 1.96), ls=dashes,
-                     lw=3, label=name, ax=middle)
-    middle.set(title="return, mean of ten seeds\n(band: 95%)", xticks=[0, 50_000, 100_000],
-               ylabel="", ylim=(0, None))
+        sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("ci", 95), seed=0,
+                     ls=dashes, lw=3, label=name, ax=middle)
+    middle.set(title="return, mean of ten seeds\n(band: 95%, bootstrap)",
+               xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     study.name_ends(middle)
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
     study.save(picture, "baselines")
