@@ -41,7 +41,7 @@ CHANGES = {
         ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
         ("    for _ in range(epochs):\n",
          "    old_sigma = agent.log_sigma.exp().detach()\n    for _ in range(epochs):\n"),
-        ("kl = (((policy.mean - old_means) / policy.stddev) ** 2).sum(-1).mean() / 2",
+        ("kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2",
          "old_policy = torch.distributions.Normal(old_means, old_sigma)\n            "
          "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
         ("            agent.sigma.fill_(remaining * args.first_std + "
