@@ -13,9 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 REINFORCE, A2C, PPO = "reinforce_mujoco.py", "a2c_vector.py", "ppo_continuous.py"
 
 CHANGES = {
-    "advantages-not-standardised": (PPO, [(
-        "            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)"
-        "  # A > 0: above the minibatch's mean\n", "")]),
+    "advantages-not-standardised": (PPO, [
+        ("A = (A - A.mean()) / (A.std(correction=0) + 1e-8)", "A = A")]),
     "critic-goes-on": (PPO, [
         ("    for _ in range(epochs):\n",
          "    actor_learns = True\n    for _ in range(epochs):\n"),
