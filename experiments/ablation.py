@@ -44,7 +44,7 @@ def effects(rows, tables):
                 alike = sum(changed == without)
                 found.append([name, change, len(gains), *effect, study.spread(without),
                               study.spread(changed),
-                              f"{effect}{f' ({alike} unchanged)' if alike else ''}"])
+                              f"{effect}{f' ({alike} identical)' if alike else ''}"])
     found = pd.DataFrame(found, columns=["table", "change", "seeds", *study.Difference._fields,
                                          "without", "with", "gain, %"])
     found["holds"] = study.holm(found["p"])
@@ -54,13 +54,13 @@ def effects(rows, tables):
 
 def draw_gains(details, order, tasks):
     picture, panels = study.figure(13, 6.5, 1, 3, sharex=True, sharey=True)
-    for axis, task in zip(panels, tasks):
+    for axis, (task, title) in zip(panels, tasks.items()):
         effect = details[details["table"] == task].set_index("change").loc[order[::-1]]
         axis.errorbar(effect["gain"], effect.index, xerr=effect["margin"], fmt="o", mfc="white",
                       capsize=3)
         axis.plot(effect["gain"].where(effect["holds"]), effect.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
-        axis.set(title=task, xlabel="gain, %", xlim=(-100, 35))
+        axis.set(title=title, xlabel="gain, %", xlim=(-100, 35))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
     picture.suptitle(f"{worse} of {len(details)} changes make PPO significantly worse, {better} "
                      "better (filled dots)\nhollow: may be chance, as so many are compared, even "
@@ -74,12 +74,15 @@ def draw(rows):
     details["change"] = details["change"].str.replace("-", " ")
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="gain, %").loc[order]
-    draw_gains(details, order, texts.columns)
+    steps = {task: study.load(TABLES[task][0])[1].total_steps for task in texts}
+    titles = {task: f"{task},\n{steps[task]:,} steps" for task in texts}
+    draw_gains(details, order, titles)
     lines = [["return as it is (± std)", *details.groupby("table")["without"].first()],
              *texts.reset_index().to_numpy()]
     answers = found[~found["change"].isin(DETAILS)].assign(p=found["p"].map(study.p_text))
     answers = answers[["table", "change", "without", "with", "gain, %", "p"]]
-    return {"ablation": study.table(["gain, % (95%)", *texts], lines),
+    return {"ablation": study.table(
+                ["gain, % (95%)", *(x.replace("\n", " ") for x in titles.values())], lines),
             "answers": study.table(["", *answers.columns[1:]], answers.to_numpy())}
 
 

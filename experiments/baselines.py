@@ -50,19 +50,20 @@ def gradient(module, agent, baseline, obs, actions, rewards_to_go):
 
 def draw(rows):
     noise = rows[rows["options"] == NOISE]
-    variance, curves, early, whole, lines = {}, {}, {}, {}, []
+    variance, curves, early, whole, lines, tests = {}, {}, {}, {}, [], []
     for name in BASELINES:
         runs = rows[rows["options"] == f"--baseline {name}"].groupby("seed")
         variance[name] = noise[f"variance_{name}"] / noise["variance_none"]
         curves[name] = pd.DataFrame(  # batches of different seeds end at different steps
             {seed: np.interp(STEPS, run["steps"], run["return"]) for seed, run in runs}, STEPS)
         early[name], whole[name] = curves[name].loc[EARLY], runs["return"].mean()
-        pairs = [(returns[name], returns["none"]) for returns in (early, whole)]
-        tests = [f", p {study.compared(*pair)[-1]}" if name != "none" else "" for pair in pairs]
+        tests += [study.welch(returns[name], returns["none"]).p for returns in (early, whole)]
         lines.append([f"`{name}`", study.spread(variance[name], 2),
-                      *(study.spread(pair[0]) + test for pair, test in zip(pairs, tests)),
+                      study.spread(early[name]), study.spread(whole[name]),
                       study.proportion(runs["return"].last() >= 950),
                       number(runs["sampled"].last().mean())])
+    for i, p in enumerate(study.marked(tests[2:])):  # those of "none" compare it with itself
+        lines[1 + i // 2][2 + i % 2] += f", p {p}"
     picture, (left, middle, right) = study.figure(13, 5, 1, 3)
     for axis, dots, title in ((left, variance, "variance of the gradient,\nrelative to none"),
                               (right, whole, "mean return\nover a run")):
@@ -71,10 +72,10 @@ def draw(rows):
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
     for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
         curve = curve.rename_axis("steps").melt(ignore_index=False, value_name="return")
-        sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("se", 1.96), ls=dashes,
-                     lw=3, label=name, ax=middle)
-    middle.set(title="return, mean of ten seeds\n(band: 95%)", xticks=[0, 50_000, 100_000],
-               ylabel="", ylim=(0, None))
+        sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("ci", 95), seed=0,
+                     ls=dashes, lw=3, label=name, ax=middle)
+    middle.set(title="return, mean of ten seeds\n(band: 95%, bootstrap)",
+               xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     study.name_ends(middle)
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
     study.save(picture, "baselines")

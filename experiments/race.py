@@ -8,54 +8,62 @@ CleanRL, which logs its returns in training, is measured if CLEANRL is the path 
 import pandas as pd
 import peers
 import returns
-import seaborn as sns
 import study
-from study import Job
+from study import Job, number
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5"
-STYLES = {"ours": ("C0", "-"), "defaults": ("C1", "--"), "zoo": ("C2", ":"),
-          "our sizes": ("C4", "-."), "CleanRL": ("C3", (0, (5, 1, 1, 1, 1, 1)))}
-COLUMNS = dict.fromkeys(STYLES, "return") | {"CleanRL": "sampled"}
-BROKEN = "Hopper-v5", "zoo"  # all seeds stop near 1,000: not what the zoo publishes
+LEARNERS = {  # the change of its rows, a column, colour, dashes
+    "ours": ("ours", "return", "C0", "-"),
+    "sb3, defaults": ("defaults", "return", "C1", "--"),
+    "sb3, zoo": ("zoo", "return", "C2", ":"),
+    "sb3, our sizes": ("our sizes", "return", "C4", "-."),
+    "ours, in training": ("ours", "sampled", "C0", ":"),
+    "CleanRL, in training": ("CleanRL", "sampled", "C3", "--")}
+BROKEN = "Hopper-v5", "sb3, zoo"  # all seeds stop near 1,000: not what the zoo publishes
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in TASKS
           for setting in ("defaults", "zoo", "our sizes") for seed in range(1, 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
           for seed in range(101, 111) for task in (*TASKS, returns.PENDULUM))]
 
 
-def draw_task(panels, task, learners, speeds):
-    """The means over seeds, of 50,000 steps at a time; bands: 95% of the mean."""
-    for learner, runs in learners.items():
-        millions = (runs["steps"] / 50_000).round() / 20
-        curve = runs[millions > 0].groupby(["seed", millions])[COLUMNS[learner]].mean()
-        curve = curve.rename("return").reset_index()
-        curve["minutes"] = 1e6 * curve["steps"] / speeds.get(learner, float("nan")) / 60
-        color, dashes = STYLES[learner] if (task, learner) != BROKEN else ("darkgrey", ":")
-        for axis, unit in zip(panels, ("steps", "minutes")):
-            sns.lineplot(curve, x=unit, y="return", errorbar=("se", 1.96), ls=dashes, lw=3,
-                         color=color, err_kws={"alpha": 0.15}, ax=axis,
-                         label=learner.replace("CleanRL", "CleanRL,\nin training"))
-    by_steps, by_minutes = panels
-    by_steps.set(title=task, xlabel="million steps", xticks=[0, 0.5, 1])
+def curves_of(task, rows):
+    """Of each learner and seed: the mean of its evaluations, of 50,000 steps at a time."""
+    runs = rows[(rows["options"] == returns.TASKS[task]) & (rows["steps"] > 25_000)]
+    runs = runs.assign(steps=(runs["steps"] / 50_000).round() / 20)
+    changes, curves = set(runs["change"]), {}
+    for learner, (change, column, *_) in LEARNERS.items():
+        if change in changes and ("training" not in learner or "CleanRL" in changes):
+            seeds = runs[runs["change"] == change].groupby(["seed", "steps"])
+            curves[learner] = seeds[column].mean().rename("return").reset_index()
+    return curves
+
+
+def draw_task(by_steps, by_minutes, task, curves, speeds):
+    """Against steps with every seed, against minutes the means alone."""
+    for learner, curve in curves.items():
+        change, _, color, dashes = LEARNERS[learner]
+        broken = (task, learner) == BROKEN
+        style = {"color": "grey" if broken else color, "ls": dashes, "lw": 3}
+        study.curves(curve, "steps", by_steps, color=style["color"], title=task,
+                     label=learner.removeprefix("sb3, ") + ",\nset aside" * broken,
+                     xlabel="million steps", xticks=[0, 0.5, 1])
+        by_steps.lines[-1].set(**style)
+        mean = curve.groupby("steps")["return"].mean()
+        by_minutes.plot(1e6 * mean.index / speeds.get(change, float("nan")) / 60, mean, **style)
     study.name_ends(by_steps)
-    by_minutes.set(xscale="log", xlabel="minutes (log scale)")
+    by_minutes.set(xscale="log", xlabel="minutes (log scale)", ylabel="return")
     by_minutes.xaxis.set_major_formatter("{x:g}")
-    by_minutes.get_legend().remove()
 
 
-def lines_of(task, learners):
-    """Of the table."""
-    finals = {learner: study.final_rows(runs) for learner, runs in learners.items()}
-    for learner, runs in finals.items():
-        ours, theirs = finals["ours"][COLUMNS[learner]], runs[COLUMNS[learner]]
-        name = {"ours": "ours", "CleanRL": "CleanRL, in training"}.get(learner, f"sb3, {learner}")
-        result = ["", None, "set aside" if (task, learner) == BROKEN else ""]
-        if learner == "CleanRL":
-            yield [task, f"ours, in training ({len(ours)})", study.spread(ours), *result]
-        if learner != "ours" and (task, learner) != BROKEN:
-            gain = study.welch(ours, theirs)
-            result = [str(gain), gain.p, "ours above" if gain.gain > 0 else "ours below"]
-        yield [task, f"{name} ({len(theirs)})", study.spread(theirs), *result]
+def lines_of(task, curves):
+    """Of the table, from the last points of the curves; at the end of a line: what ours gain."""
+    for learner, curve in curves.items():
+        last = curve.loc[curve["steps"] == curve["steps"].max(), "return"]
+        if learner.startswith("ours"):
+            ours = last
+        broken = (task, learner) == BROKEN
+        yield [task, f"{learner}{', set aside' * broken} ({len(last)})", study.spread(last),
+               number(last.median()), "" if ours is last or broken else study.welch(ours, last)]
 
 
 def draw(rows):
@@ -64,25 +72,18 @@ def draw(rows):
     picture, panels = study.figure(13, 9, 2, len(TASKS), sharey="col")
     lines = []
     for task in *TASKS, returns.PENDULUM:
-        runs = rows[rows["options"] == returns.TASKS[task]]
-        learners = {learner: runs[runs["change"] == learner] for learner in STYLES
-                    if learner in set(runs["change"])}
-        if len(learners) > 1:  # the pendulum has CleanRL only
-            lines += lines_of(task, learners)
+        curves = curves_of(task, rows)
+        lines += lines_of(task, curves) if len(curves) > 1 else []  # the pendulum: CleanRL only
         if task in TASKS:
-            draw_task(panels[TASKS.index(task) :: len(TASKS)], task, learners,
+            draw_task(*panels[TASKS.index(task) :: len(TASKS)], task, curves,
                       speeds[f"--env-id {task} --total-steps 32768"])
-    table = pd.DataFrame(lines, columns=["task", "learner (seeds)", "return",
-                                         "ours − theirs, 95%", "p", "verdict"])
-    p_texts = pd.Series(study.marked(table["p"].astype(float)))
-    unclear = (p_texts != "") & ~p_texts.str.contains("*", regex=False)
-    table = table.assign(p=p_texts, verdict=table["verdict"].mask(unclear, "cannot tell"))
-    above, below = (sum(table["verdict"] == f"ours {where}") for where in ("above", "below"))
-    picture.suptitle(f"Our PPO is significantly above others' in {above} of "
-                     f"{above + below + sum(unclear)} comparisons, below in {below}\n"
-                     "(stable-baselines3: defaults, zoo, our sizes; bands: 95% of the mean)")
+    found = [[*line, end] for line, end in zip(lines, study.verdicts([x[-1] for x in lines]))]
+    leads = [f"{line[1][:-4]} ({line[0][:-3]})" for line in found if "above" in line[-1]]
+    picture.suptitle(f"Significantly below ours: {'; '.join(leads)}\n(no others; sb3: "
+                     "stable-baselines3; thin: seeds, bold: means)", wrap=True)
     study.save(picture, "ppo_race")
-    return {"race": study.table(table, table.to_numpy())}
+    return {"race": study.table(["task", "learner (seeds)", "mean ± std", "median",
+                                 "ours − theirs, 95%", "verdict"], found)}
 
 
 if __name__ == "__main__":

@@ -42,14 +42,17 @@ def measure(job):
 
 
 def draw(rows):
-    lines = []
+    lines, p_values = [], []
     for world, query in WORLDS.items():
         agents = rows.query(query).groupby(["options", "seed"])["return"].mean()
         usual, randomized = (agents[kind] for kind in KINDS)
-        lower = sum(randomized < usual)
-        lines.append([world, *study.compared(randomized, usual), f"{lower} of {len(usual)}"])
-    return {"robustness": study.table(["moons", "trained as usual", "with --randomize",
-                                       "difference, 95%", "p", "lower"], lines)}
+        gain = study.gain(randomized - usual)  # of pairs of a seed
+        p_values.append(gain.p)
+        lines.append([world, study.spread(usual), study.spread(randomized), str(gain),
+                      f"{sum(randomized < usual)} of {len(usual)}"])
+    return {"robustness": study.table(
+        ["moons", "trained as usual", "with --randomize", "difference, 95%", "lower", "p"],
+        [[*line, p] for line, p in zip(lines, study.marked(p_values))])}
 
 
 if __name__ == "__main__":

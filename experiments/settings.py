@@ -32,9 +32,11 @@ def draw(rows):
     finals = study.final_rows(study.read("returns"))
     kinds = {"as it is": finals[finals["options"] == HUMANOID]["return"]}
     kinds |= {f"`{change}`": rows[rows["change"] == change]["return"] for change in CHANGES}
+    gains = ["", *(study.welch(values, kinds["as it is"]) for values in list(kinds.values())[1:])]
+    p_texts = ["", *study.marked([gain.p for gain in gains[1:]])]
     humanoid = [[kind, f"{sum(values > 2000)} of {len(values)}", study.median(values),
-                 *study.compared(values, kinds["as it is"])[1:]] for kind, values in kinds.items()]
-    humanoid[0][-2:] = "", ""
+                 study.spread(values), gain, p]
+                for (kind, values), gain, p in zip(kinds.items(), gains, p_texts)]
     return {"settings": study.table(["command", "five seeds", "mean", "minutes"], lines),
             "humanoid": study.table(["Humanoid-v5", "above 2,000", "median (95%)", "mean ± std",
                                      "difference, 95%", "p"], humanoid)}

@@ -22,12 +22,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import seaborn as sns
 import variants
 from matplotlib.figure import Figure
-from scipy import stats
+from scipy import optimize, stats
 from tqdm import tqdm
 from variants import A2C, PPO, REINFORCE, ROOT  # noqa: F401 (for the studies)
 
@@ -224,10 +225,28 @@ def marked(p_values):
     return ["" if p != p else f"**{p_text(p)}**" if holds[p] else p_text(p) for p in p_values]
 
 
+def verdicts(gains):
+    """Of each difference, empty where there is none; who leads after Holm's correction is bold."""
+    holds, texts = iter(holm([gain.p for gain in gains if gain])), []
+    for gain in gains:
+        side = f"**ours {'above' if gain.gain > 0 else 'below'}**" if gain and next(holds) else ""
+        texts.append(f"{side or 'cannot tell'} (p {p_text(gain.p)})" if gain else "")
+    return texts
+
+
 def proportion(passed):
     """How many of how many, and the exact 95% interval of the probability."""
     low, high = stats.binomtest(int(sum(passed)), len(passed)).proportion_ci()
     return f"{sum(passed)} of {len(passed)} ({low:.0%} to {high:.0%})"
+
+
+def at_threshold(task, rows):
+    """How many of how many reach Gymnasium's threshold, if the task has one."""
+    goal = gym.spec(task).reward_threshold
+    if goal is None:
+        return "no threshold"
+    returns = final_rows(rows)["return"]
+    return f"{sum(returns >= goal)} of {len(returns)} ≥ {goal:,g}".replace("-", "−")
 
 
 def compared(changed, usual):
@@ -270,14 +289,16 @@ def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
     axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
 
 
-def name_ends(axis, gap=0.08):
+def name_ends(axis, gap=0.07):
     """In place of a legend: each line's label beside its end, none over another."""
-    place, (low, high) = -np.inf, axis.get_ylim()
     named = [line for line in axis.lines if not line.get_label().startswith("_")]
-    for line in sorted(named, key=lambda line: line.get_ydata()[-1]):
-        place = max(place + gap * (high - low), line.get_ydata()[-1])
+    named.sort(key=lambda line: line.get_ydata()[-1])
+    shifts = gap * np.ptp(axis.get_ylim()) * np.arange(len(named))
+    ends = [line.get_ydata()[-1] for line in named]  # moved as little as the gaps allow:
+    for line, place in zip(named, optimize.isotonic_regression(ends - shifts).x + shifts):
         axis.annotate(line.get_label(), (line.get_xdata()[-1], place), (6, 0), va="center",
-                      textcoords="offset points", size="small", annotation_clip=False)
+                      textcoords="offset points", size="small", color=line.get_color(),
+                      annotation_clip=False)
     axis.get_legend().remove()
 
 

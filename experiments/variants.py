@@ -13,9 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 REINFORCE, A2C, PPO = "reinforce_mujoco.py", "a2c_vector.py", "ppo_continuous.py"
 
 CHANGES = {
-    "advantages-not-standardised": (PPO, [(
-        "            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)"
-        "  # A > 0: above the minibatch's mean\n", "")]),
+    "advantages-not-standardised": (PPO, [
+        ("A = (A - A.mean()) / (A.std(correction=0) + 1e-8)", "A = A")]),
     "critic-goes-on": (PPO, [
         ("    for _ in range(epochs):\n",
          "    actor_learns = True\n    for _ in range(epochs):\n"),
@@ -41,7 +40,7 @@ CHANGES = {
         ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
         ("    for _ in range(epochs):\n",
          "    old_sigma = agent.log_sigma.exp().detach()\n    for _ in range(epochs):\n"),
-        ("kl = (((policy.mean - old_means) / policy.stddev) ** 2).sum(-1).mean() / 2",
+        ("kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2",
          "old_policy = torch.distributions.Normal(old_means, old_sigma)\n            "
          "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
         ("            agent.sigma.fill_(remaining * args.first_std + "

@@ -15,6 +15,7 @@ import peers
 import pytest
 import race
 import report
+import returns
 import study
 import trials
 import variants
@@ -130,6 +131,41 @@ def test_holms_correction():
         "**0.01**", "0.04", "", "0.03", "**0.005**"]
 
 
+def test_a_verdict_is_who_leads_after_holms_correction():
+    gains = [study.Difference(gain, 1, p) for gain, p in ((5, 0.01), (-5, 1e-4), (5, 0.04))]
+    assert study.verdicts(["", *gains[:2], "", gains[2], study.Difference(5, 1, 0.06)]) == [
+        "", "**ours above** (p 0.01)", "**ours below** (p < 0.001)", "", "cannot tell (p 0.04)",
+        "cannot tell (p 0.06)"]
+
+
+def test_at_a_threshold_is_a_run_whose_last_return_reaches_it():
+    keys = {"script": "x", "options": "", "change": "", "seed": [1, 1, 2, 2]}
+    rows = pd.DataFrame(keys | {"return": [9000, 4800, 4800, 4799]})
+    assert study.at_threshold("HalfCheetah-v5", rows) == "1 of 2 ≥ 4,800"
+    assert study.at_threshold("Humanoid-v5", rows) == "no threshold"
+
+
+def test_a_run_has_learned_if_it_ends_above_all_untrained_ones_and_above_the_level():
+    rows = pd.DataFrame({"seed": [1, 1, 2, 2, 3, 3], "return": [10, 30, 40, 41, 0, 1001]})
+    assert returns.learned("Pusher-v5", rows).to_list() == [False, True, True]
+    assert returns.learned("Hopper-v5", rows).to_list() == [False, False, True]
+
+
+def test_how_often_our_defaults_were_tried_on_the_tasks_of_the_race():
+    trials = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
+    counted = trials["env_id"].isin(race.TASKS) & (trials["stage"] < 6)  # 6: other settings
+    text = (ROOT / "docs/results.md").read_text("utf-8")
+    assert f"in {sum(counted)} trainings" in text
+
+
+def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
+    rows = pd.DataFrame({"options": "--env-id Hopper-v5 --total-steps 1e6", "change": "zoo",
+                         "seed": 1, "steps": [1, 40_000, 60_000, 960_000, 980_000, 1_001_472],
+                         "return": [0, 1, 3, 5, 7, 9]})
+    curve = race.curves_of("Hopper-v5", rows)["sb3, zoo"]
+    assert curve[["steps", "return"]].to_numpy().tolist() == [[0.05, 2], [0.95, 5], [1, 8]]
+
+
 def test_the_interval_of_a_median_is_of_the_median():
     """Of three values the median of a sample is either extreme in 7 of 27 cases."""
     assert study.median([1, 2, 9]) == "2 (1 to 9)"
@@ -209,7 +245,7 @@ def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
     assert len(lines) == 4
     for line in lines:
         assert "| 106 ± 3 " in line
-        assert line.split("|")[-2].strip() == "ours above"
+        assert line.split("|")[-2].strip() == "**ours above** (p < 0.001)"
 
 
 @pytest.mark.parametrize(("ratios", "lost", "usually", "taken"), [
