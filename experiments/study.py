@@ -237,7 +237,7 @@ def verdicts(gains):
 def proportion(passed):
     """How many of how many, and the exact 95% interval of the probability."""
     low, high = stats.binomtest(int(sum(passed)), len(passed)).proportion_ci()
-    return f"{sum(passed)} of {len(passed)} ({low:.0%} to {high:.0%})"
+    return f"{sum(passed)} of {len(passed)} ({100 * low:.3g}% to {100 * high:.3g}%)"
 
 
 def at_threshold(task, rows):
