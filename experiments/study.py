@@ -134,8 +134,7 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
     done = set(rows[KEYS].itertuples(index=False, name=None))
     lacking = [job for job in jobs if job not in done and args.only in job.options]
     if lacking:
-        commit_of(*{job.script for job in lacking}, "experiments/study.py",
-                  "experiments/variants.py", f"experiments/{name}.py")
+        commit_of(*{job.script for job in lacking}, "experiments/*.py")
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as processes:
         futures = [processes.submit(measured, measure, job) for job in lacking]
         try:

@@ -264,18 +264,23 @@ def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
-    """Two seeds of 512 steps, one of 256, twice; one that was cut off is left out."""
+    """Two seeds of 512 steps, two of 256, one of them twice; one that was cut off is left out."""
     script, folders = SCRIPTS["ppo_continuous"], []
     shorter = "--total-steps", 256
-    for name, seed, options in ("a", 3, ()), ("b", 4, ()), ("c", 3, shorter), ("d", 3, shorter):
+    for name, seed, options, final in [("a", 3, (), 10), ("b", 4, (), 12), ("c", 3, shorter, 1),
+                                       ("d", 3, shorter, 3), ("f", 4, shorter, 5)]:
         folders.append(tmp_path / f"Pendulum__ppo_continuous__{name}")
-        script.train(folders[-1], *options, seed=seed)
+        path = script.train(folders[-1], *options, seed=seed)
+        log = pd.read_csv(f"{path}.csv")
+        log.loc[log.index[-1], "eval_return"] = final
+        log.to_csv(f"{path}.csv", index=False)
     cut = script.train(tmp_path / "Pendulum__ppo_continuous__e")
     pd.read_csv(f"{cut}.csv").head(2).to_csv(f"{cut}.csv", index=False)
     merge.main([*folders, cut.parent])
     out = capsys.readouterr().out
-    for setting in "256 +1", "512 +2":
+    for setting in "256 +2 +4.0", "512 +2 +11.0":  # the later of two runs of a seed counts
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
+    assert "total_steps 256 − total_steps 512: -7 ± " in out
     assert f"has not ended: {cut}.csv" in out
     assert (tmp_path / "merged.png").exists()
     with pytest.raises(SystemExit, match="usage: .*FOLDER"):
