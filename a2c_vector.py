@@ -37,9 +37,9 @@ with all environments in lockstep) V stands in for the rewards still to come. On
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
-uses T·N steps, so a larger N means fewer updates. `--randomize`
-varies the physics (`RandomPhysics`). Points 1, 3 and 6, standardised A, the initial weights and
-clipped gradients are details that help.
+uses T·N steps, so a larger N means fewer updates. `--randomize` varies the physics
+(`RandomPhysics`). Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are
+details that help.
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 In shapes: T rollout_steps, N num_envs, D numbers in an observation.
@@ -444,7 +444,7 @@ class Tidy(gym.Wrapper):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
                 vars(self.unwrapped)[name] = space  # setattr would fail on a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # {}: a mask was in it
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)

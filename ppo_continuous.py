@@ -428,7 +428,7 @@ class Tidy(gym.Wrapper):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
                 vars(self.unwrapped)[name] = space  # setattr would fail on a property
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # {}: a mask was in it
+        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)

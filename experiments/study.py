@@ -92,9 +92,9 @@ def commit_of(*files):
 def measured(measure, job, keep=True):
     """The rows of a job, which say where they come from."""
     origin = {**job._asdict(), "commit": commit_of(job.script) if keep else "not kept"}
-    cpuinfo, origin["processor"] = Path("/proc/cpuinfo"), platform.processor()
-    if cpuinfo.exists():  # Linux says it there
-        origin["processor"] = re.search(r"model name\s*: (.*)", cpuinfo.read_text())[1]
+    cpuinfo = Path("/proc/cpuinfo")  # where Linux says it, but not on every processor
+    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
+    origin["processor"] = model[1] if model else platform.processor() or platform.machine()
     rows = pd.DataFrame(measure(job))
     packages = "torch", "gymnasium", "mujoco", *{"stable_baselines3"}.intersection(sys.modules)
     origin |= {package: importlib.metadata.version(package) for package in packages}
