@@ -5,8 +5,8 @@
 # ///
 """A2C: advantage actor-critic, with many environments and random physics, in one file.
 
-    python a2c_vector.py --seed 1 2 3                   with uv: uv run a2c_vector.py --seed 1
-    python a2c_vector.py --watch runs/…/seed-1.pt       replays an agent and films it
+    python a2c_vector.py --seed 1 2 3               # or: uv run a2c_vector.py --seed 1
+    python a2c_vector.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first line trains three agents side by side to land on the moon, and leaves logs, agents and a
 figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
@@ -18,17 +18,18 @@ of an episode. Two neural networks learn:
 
     the actor   π(a|s)   which of a few actions to take, as probabilities
     the critic  V(s)     what to expect from s on if we follow π: the mean *reward to go*
-                         r_t + γ·r_{t+1} + γ²·r_{t+2} + …, in which later rewards count less (γ < 1)
+                         r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1, as later rewards owe
+                         less to this action and mostly add noise
 
-Without V an episode must end before we know what followed each action. In A2C (which is A3C [1]
-with all environments in lockstep) V stands in for the rewards still to come. One update:
+Without V an episode must end before we know what followed each action. In A2C V stands in for the
+rewards still to come. (A3C [1] is the same without waiting for the slowest environment.) An update:
 
   1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus (in 5).
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards by a constant, so that what V has to predict is neither tiny nor huge.
   4. Estimate the advantages A (GAE [2]): how much better each action turned out than what π does on
      average. A + V(s) then estimates the reward to go: the target for V.
-  5. Take one gradient step to lower, over the whole rollout,
+  5. Take one gradient step, on the whole rollout, to lower
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)      with A standardised
      It makes actions with A > 0 more likely, the others less. The entropy is high while π is
      undecided; the bonus keeps π from settling on one action before it has tried the others. Then
@@ -110,11 +111,13 @@ class RunningStatistics(nn.Module):
         self.register_buffer("var", torch.ones(shape, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
+    def std(self):
+        """The standard deviation; 1 where it is mere rounding, so that nothing is divided by ~0."""
+        return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
+
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # At least 1e-8·|mean|, below which it is rounding, and at least 1e-15, so never 0.
-        std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
-        return ((x - self.mean) / std).clamp(-10, 10).float()
+        return ((x - self.mean) / self.std()).clamp(-10, 10).float()
 
     def update(self, rows):
         """Merge in new `rows` (…, *shape), whose weight w is their share of all rows so far.
@@ -187,9 +190,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
+    of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, these are the rewards that followed minus V(s_t), as in REINFORCE.
+    episode terminates there, this is REINFORCE with the baseline V: what followed, minus V(s_t).
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -212,9 +215,9 @@ def policy_loss(log_probs, advantages):
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
 
-    as A_t has nearly the mean of the bracket, given s_t and a_t, and far less noise (nearly, for it
-    discounts and relies on V). The mean in the loss only rescales the gradient. The actions must
-    come from π as it is now, so a rollout serves for one step only.
+    as, given s_t and a_t, A_t has nearly the same mean as the bracket and far less noise (nearly,
+    since it discounts, and relies on V). The mean in the loss only rescales the gradient. The
+    actions must come from π as it is now, so a rollout serves for one step only.
     """
     return -(advantages * log_probs).mean()
 
@@ -246,13 +249,14 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     of its own, so at every step a message goes to each and back, and all wait for the slowest:
 
         sync     N·step
-        async    N·step/cores + N·message        at best, with at most N cores
+        async    N·step/cores + N·message        roughly, with at most N cores
 
     Here cores are idle ones (other seeds take some), and a message there and back takes some 0.04
     ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step takes longer than
-    0.08 ms. One on the moon takes 0.03 ms, so async never pays there. (The log's `seconds` tell.)
-    Evaluations are always sync: `evaluate` seeds the global generators of this process, so an
-    environment that draws from them must live in it.
+    0.08 ms. One on the moon takes 0.03 ms, so async does not pay there. To find out for your own,
+    run both and compare `seconds` in the logs. Evaluations are always sync: `evaluate` seeds the
+    global generators of this process, so an environment that draws from them must live in it. Train
+    it sync, too, as its processes may all start from the same generator.
 
     By default ("NextStep") a vector resets an environment in the step after the end of its episode.
     That step ignores the action and earns nothing: a transition that never happened, from which an
@@ -294,11 +298,11 @@ class RandomPhysics(gym.Wrapper):
     It may where the real world is farther from the simulator.
 
     For another environment write such a wrapper, and put it and the environment's name into
-    `make_envs`, in place of these. Draw from ranges as wide as your doubts (this moon allows a
-    gravity between −12 and 0, and recommends these winds), and set the numbers before the
-    environment's own reset. Only its `__init__` checks them, so now nobody does; and what it has
-    derived from them must be computed anew. For CartPole, between the first lines of `reset` and
-    its last:
+    `make_envs`, in place of RandomPhysics and LunarLander. Draw from ranges as wide as your doubts
+    (this moon allows a gravity between −12 and 0, and recommends these winds), and set the numbers
+    before the environment's own reset. The environment checks them only in its `__init__`, so yours
+    go unchecked; and what it derived from them there must be derived again. For CartPole, between
+    the first lines of `reset` and its last:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
@@ -322,7 +326,7 @@ class RandomPhysics(gym.Wrapper):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
+    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -343,7 +347,7 @@ def train(index, args, folder):
             check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
-            # 4. Estimate advantages and targets; in 5 they are constants, so that only V moves.
+            # 4. Estimate advantages and targets, constants in 5: V moves to them, not they to V.
             with torch.no_grad():  # next_obs, as the next row of obs may be another episode's
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
@@ -364,7 +368,7 @@ def train(index, args, folder):
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean(returns) if returns else np.nan, **metrics})
-            # After the first update, then whenever evals_done/num_evals of the steps are over.
+            # After the first update, then each time another 1/num_evals of the steps is done.
             if env_step >= evals_done / args.num_evals * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
@@ -389,15 +393,15 @@ def parse_args(argv=None, known=None):
     add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
-    add("--vectorization", choices=("sync", "async"), default="sync", help="async: in processes")
+    add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
     add("--randomize", action=argparse.BooleanOptionalAction, default=False, help="random moons")
-    add("--rollout-steps", type=in_range(int, 1), default=64, help="steps of each in a rollout")
+    add("--rollout-steps", type=in_range(int, 1), default=64, help="of each environment")
     add("--reward-scale", type=in_range(float, 0), default=0.1, help="multiplies rewards")
     add("--learning-rate", type=in_range(float, 0), default=2e-3, help="falls linearly to 0")
     add("--gamma", type=in_range(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=in_range(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
     add("--entropy-coef", type=in_range(float, 0), default=0.01, help="falls linearly to 0")
-    add("--max-grad-norm", type=in_range(float, 0), default=0.5, help="largest, for each network")
+    add("--max-grad-norm", type=in_range(float, 0), default=0.5, help="of each network, at most")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)
 
@@ -408,7 +412,7 @@ def in_range(kind, low, high=1e12):
     def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} from {low} to {high:g}")
         return kind(value)
 
     return number
@@ -434,8 +438,8 @@ def make_repeatable(seed):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some classes share their spaces among all environments; but an evaluation, which seeds them,
-    must not change what training draws.
+    Some classes share their spaces among all their environments. To seed one for an evaluation
+    would change what training draws from it, so each environment gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -443,7 +447,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # setattr would fail on a property
+                vars(self.unwrapped)[name] = space  # a property stays as it is
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
@@ -473,7 +477,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but this does not count
+        if not playing.any():  # those that are done play on, but no longer count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -494,11 +498,11 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made
@@ -506,7 +510,7 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film shows the first of these episodes
+        make_repeatable(seed)  # so that the film starts as the first of these episodes did
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
@@ -552,13 +556,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
+        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
-              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
+              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -5,27 +5,27 @@
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
-    python ppo_continuous.py --seed 1 2 3               with uv: uv run ppo_continuous.py --seed 1
-    python ppo_continuous.py --watch runs/…/seed-1.pt   replays an agent and films it
+    python ppo_continuous.py --seed 1 2 3               # or: uv run ppo_continuous.py --seed 1
+    python ppo_continuous.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first line trains three agents side by side to balance a double pendulum on a cart, and leaves
 logs, agents and a figure in a new folder in runs/. In a good run the return climbs within a minute
 from 50, which random actions earn, to 9,300; the most is 9,360.
 
-At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
-reward r, until the episode ends. We want a high *return*, the sum of all rewards of an episode. Two
-neural networks learn:
+At every step the agent observes the state s of its environment (here: cart and poles), draws an
+action a from its policy π(a|s), and gets a reward r, until the episode ends. We want a high
+*return*, the sum of all rewards of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
     the critic  V(s)                        what to expect from s on with π: the mean *reward to go*
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-With γ a little below 1, rewards count less and less beyond some 1/(1−γ) steps: they owe little to
+With γ a little below 1, rewards more than some 1/(1−γ) steps away hardly count: they owe little to
 this action and would mostly add noise. The *advantage* A of an action is how much higher G is, on
-average, after it than after an action drawn from π; a rollout gives a noisy estimate: G − V(s).
-Actions with A > 0 become more likely, those with A < 0 less. A2C (advantage actor-critic) takes one
-gradient step on a rollout and throws it away. PPO [1] takes many, so each rollout teaches more. But
-a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
+average, after it than after an action drawn from π; a stretch of recorded steps, a *rollout*, gives
+a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. A2C takes
+one gradient step on a rollout and throws it away. PPO [1] takes many, so each rollout teaches more.
+But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
   2. Collect a rollout: T steps in each of N environments.
@@ -33,13 +33,13 @@ a rollout only shows what its own policy, π_old, did, so π must stay near π_o
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     with A standardised. But before each step measure KL(π_old ‖ π), how far π has moved. Once it
-     is above max_kl, skip the remaining steps and go on to 6.
+     with A standardised (mean 0, std 1). But before each step measure how far π has moved, as
+     KL(π_old ‖ π). Once it is above max_kl, skip the remaining steps and go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
 2, 4 and 5 are PPO, the rest are details that help. Common ones [4] are the falling rate, 3, 6,
-max_kl, standardised A and the initial weights; ours are the schedule of σ, and tanh, which keeps
-actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
+max_kl, standardised A and the initial weights; less common are a schedule of σ, and tanh, which
+keeps actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -111,11 +111,13 @@ class RunningStatistics(nn.Module):
         self.register_buffer("var", torch.ones(shape, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
+    def std(self):
+        """The standard deviation; 1 where it is mere rounding, so that nothing is divided by ~0."""
+        return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
+
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        # At least 1e-8·|mean|, below which it is rounding, and at least 1e-15, so never 0.
-        std = (self.var + 1e-16 * self.mean**2).clamp(min=1e-30).sqrt()
-        return ((x - self.mean) / std).clamp(-10, 10).float()
+        return ((x - self.mean) / self.std()).clamp(-10, 10).float()
 
     def update(self, rows):
         """Merge in new `rows` (…, *shape), whose weight w is their share of all rows so far.
@@ -131,7 +133,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` makes π start alike everywhere."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -191,17 +193,16 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    V predicts a sum of later rewards, not known yet. F is a sum of past ones, which usually has a
-    similar spread; while it has none, rewards stay as they are. `past_rewards` is F before the
-    first row, (N,) or 0. Returns the scaled rewards, and F after the last row.
+    V predicts a sum of later rewards, not known yet. F adds up past ones instead, and usually
+    spreads about as much. While F does not vary, rewards stay as they are. `past_rewards` is F
+    before the first row, (N,) or 0. Returns the scaled rewards, and F after the last row.
     """
     sums = torch.empty_like(rewards)
     for t in range(len(rewards)):
         sums[t] = rewards[t] + gamma * past_rewards
         past_rewards = sums[t] * ~done[t]
     stats.update(sums)
-    scale = stats.var.sqrt() if stats.var > 1e-16 * stats.mean**2 else 1.0  # else: only rounding
-    return (rewards / scale).float(), past_rewards
+    return (rewards / stats.std()).float(), past_rewards
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
@@ -217,9 +218,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 the values in between cancel and, if the sum has n terms,
+    of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, these are the rewards that followed minus V(s_t), as in REINFORCE.
+    episode terminates there, this is REINFORCE with the baseline V: what followed, minus V(s_t).
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -230,12 +231,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    How much better is π than π_old? As A is measured against the average of π_old, π gains
+    How much better is π than π_old? Take one action from π, then go on with π_old. As A is measured
+    against the average action of π_old, the mean of G rises by
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    in one state. Summed with weights γ^t over the states that π meets, that is the exact gain in
-    discounted return [5]. PPO takes the states that π_old has met instead, which is nearly the same
+    Summed with weights γ^t over the states that π meets, this is the exact gain in discounted
+    return [5]. PPO takes the states that π_old has met instead, which is nearly the same
     while π is near π_old, and drops γ^t: raise E[ρ·A]. At ρ = 1, where an update starts, its
     gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away the estimate gets worse,
     so a sample drops out once ρ has gone far enough in the direction of A:
@@ -282,7 +284,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
+    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -330,7 +332,7 @@ def train(index, args, folder):
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean(returns) if returns else np.nan, **metrics})
-            # After the first update, then whenever evals_done/num_evals of the steps are over.
+            # After the first update, then each time another 1/num_evals of the steps is done.
             if env_step >= evals_done / args.num_evals * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
@@ -355,7 +357,7 @@ def parse_args(argv=None, known=None):
     add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=10, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=16, help="environments stepped together")
-    add("--rollout-steps", type=in_range(int, 1), default=128, help="steps of each in a rollout")
+    add("--rollout-steps", type=in_range(int, 1), default=128, help="of each environment")
     add("--epochs", type=in_range(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=in_range(int, 2), default=512, help="samples in a minibatch")
     add("--learning-rate", type=in_range(float, 0), default=1e-3, help="falls linearly to 0")
@@ -375,7 +377,7 @@ def in_range(kind, low, high=1e12):
     def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} from {low} to {high:g}")
         return kind(value)
 
     return number
@@ -418,8 +420,8 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some classes share their spaces among all environments; but an evaluation, which seeds them,
-    must not change what training draws.
+    Some classes share their spaces among all their environments. To seed one for an evaluation
+    would change what training draws from it, so each environment gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -427,7 +429,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # setattr would fail on a property
+                vars(self.unwrapped)[name] = space  # a property stays as it is
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
@@ -457,7 +459,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but this does not count
+        if not playing.any():  # those that are done play on, but no longer count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -478,11 +480,11 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made
@@ -490,7 +492,7 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film shows the first of these episodes
+        make_repeatable(seed)  # so that the film starts as the first of these episodes did
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
@@ -536,13 +538,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
+        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
-              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
+              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

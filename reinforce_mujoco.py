@@ -5,8 +5,8 @@
 # ///
 """REINFORCE: policy gradients from whole episodes, in one file.
 
-    python reinforce_mujoco.py --seed 1 2 3             with uv: uv run reinforce_mujoco.py --seed 1
-    python reinforce_mujoco.py --watch runs/…/seed-1.pt     replays an agent and films it
+    python reinforce_mujoco.py --seed 1 2 3           # or: uv run reinforce_mujoco.py --seed 1
+    python reinforce_mujoco.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
 and a figure in a new folder in runs/. In a good run the return climbs within a minute from 5, which
@@ -98,7 +98,7 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` makes π start alike everywhere."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -146,20 +146,20 @@ def compute_advantages(rewards_to_go, values, baseline):
 def policy_loss(log_probs, advantages):
     """4. −mean(A·log π); log π and A are (B,). Why does a step on it raise the return?
 
-    *One decision.* The agent draws a from π and earns G(a), on average E[G] = ∫ π(a)·G(a) da. The
+    *One decision.* The agent draws a from π and earns r(a), on average E[r] = ∫ π(a)·r(a) da. The
     weights only change how likely each action is, not what it earns. The gradient with respect to
-    them says which change raises E[G] fastest:
+    them says which change raises E[r] fastest:
 
-        ∇E[G] = ∫ ∇π(a)·G(a) da
-              = ∫ π(a)·∇log π(a)·G(a) da        because ∇log π = ∇π/π
-              = E[G·∇log π(a)]                  an average over π's own actions: play!
+        ∇E[r] = ∫ ∇π(a)·r(a) da
+              = ∫ π(a)·∇log π(a)·r(a) da        because ∇log π = ∇π/π
+              = E[r·∇log π(a)]                  an average over π's own actions: play!
 
     *An episode* τ is many decisions. With p for the environment, its probability is
 
         P(τ) = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…
 
     In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
-    The three lines above hold for episodes, too, with τ for a, P(τ) for π(a), the return for G(a):
+    The three lines above hold for episodes, too, with τ for a, P(τ) for π(a), the return for r(a):
 
         ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = Σ_t Σ_i E[r_i·∇log π(a_t|s_t)]
 
@@ -169,7 +169,7 @@ def policy_loss(log_probs, advantages):
 
     It stays 0 when multiplied by anything that is fixed by then: an earlier reward, or a number
     b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the earlier
-    rewards, which add noise, and subtract a b(s_t), which takes some away: if b ≈ V, bad actions
+    rewards, which add noise, and subtract b(s_t), which removes some: if b ≈ V, bad actions
     get a negative factor, while without it positive rewards push up every action that was tried.
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
@@ -197,7 +197,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # Near 1 V predicts G well; 0 or less: no better than a constant, or G hardly varies.
+    # Near 1, V rises and falls as G does; at 0 or less it does not help. (Offsets go unseen.)
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -208,14 +208,14 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, SIGTERM stops the others. As on Ctrl-C, they then close their environments.
+    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # one network call for all
+    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # all play at once
           closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # which, unlike the vector, does not reset itself
+        (env,) = envs.envs  # the environment itself: the vector around it would reset it
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -226,8 +226,8 @@ def train(index, args, folder):
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
             obs, actions, rewards, last_values = zip(*episodes)
             # 2. Compute the rewards to go.
-            rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
-                             for r, last_value in zip(rewards, last_values)]
+            rewards_to_go = [compute_rewards_to_go(of_episode, last_value, args.gamma)
+                             for of_episode, last_value in zip(rewards, last_values)]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -237,8 +237,8 @@ def train(index, args, folder):
             env_step += sum(map(len, rewards))
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                        "return": np.mean([sum(x) for x in rewards]), **metrics})
-            # After the first update, then whenever evals_done/num_evals of the steps are over.
+                        "return": np.mean([sum(of_episode) for of_episode in rewards]), **metrics})
+            # After the first update, then each time another 1/num_evals of the steps is done.
             if env_step >= evals_done / args.num_evals * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
@@ -276,7 +276,7 @@ def in_range(kind, low, high=1e12):
     def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
-            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} in [{low}, {high:g}]")
+            raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} from {low} to {high:g}")
         return kind(value)
 
     return number
@@ -301,8 +301,8 @@ def make_repeatable(seed):
 
 def make_envs(args, count, **kwargs):
     """A vector of `count` environments, which reset themselves after the end of an episode."""
-    envs = gym.make_vec(args.env_id, count, "sync", wrappers=[
-        lambda x: gym.wrappers.TimeLimit(x, x.spec.max_episode_steps or 1000), Tidy], **kwargs)
+    envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
+        lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
     if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
             and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
@@ -315,8 +315,8 @@ def make_envs(args, count, **kwargs):
 class Tidy(gym.Wrapper):
     """An environment that clips actions, insists on finite numbers, and has spaces of its own.
 
-    Some classes share their spaces among all environments; but an evaluation, which seeds them,
-    must not change what training draws.
+    Some classes share their spaces among all their environments. To seed one for an evaluation
+    would change what training draws from it, so each environment gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -324,7 +324,7 @@ class Tidy(gym.Wrapper):
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 space = copy.deepcopy(getattr(self.unwrapped, name))
                 space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # setattr would fail on a property
+                vars(self.unwrapped)[name] = space  # a property stays as it is
         return self.look(self.env.reset(seed=seed)[0]), {}
 
     def step(self, action):
@@ -335,7 +335,7 @@ class Tidy(gym.Wrapper):
         reward = check_finite(f"a reward of {self.spec.id}", np.asarray(reward, float).item())
         return self.look(obs), reward, terminated, truncated, {}
 
-    def look(self, obs):
+    def look(self, obs):  # at a copy, as some environments write the next one into the same array
         return check_finite(f"an observation of {self.spec.id}", np.array(obs))
 
 
@@ -361,7 +361,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
         returns += np.where(playing, rewards, 0)
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but this does not count
+        if not playing.any():  # those that are done play on, but no longer count
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -382,11 +382,11 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: made by {saved['script']}, so watch it with that")
+            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made
@@ -394,7 +394,7 @@ def watch(path):
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film shows the first of these episodes
+        make_repeatable(seed)  # so that the film starts as the first of these episodes did
         with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
@@ -440,13 +440,13 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial, so that what fails takes one line
+        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: where an episode must end, as in evaluations, it "
-              "ends after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
+              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
