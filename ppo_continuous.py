@@ -27,7 +27,7 @@ a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with 
 one gradient step on a rollout and throws it away. PPO [1] takes many, so each rollout teaches more.
 But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.1.
+  1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
@@ -366,7 +366,7 @@ def parse_args(argv=None, known=None):
     add("--clip-eps", type=in_range(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=in_range(float, 0), default=0.03, help="KL that ends the gradient steps")
     add("--first-std", type=in_range(float, 1e-4), default=0.6, help="sigma at first, before tanh")
-    add("--last-std", type=in_range(float, 1e-4), default=0.1, help="sigma at last, before tanh")
+    add("--last-std", type=in_range(float, 1e-4), default=0.2, help="sigma at last, before tanh")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)
 

@@ -1,7 +1,7 @@
-"""Numbers that no study measures anew: published returns of PPO against ours, and early trials.
+"""Numbers that no study measures anew: published returns of PPO against ours, and trials.
 
-published.csv holds the highest final mean of several seeds within a million steps that we know of,
-earlier_trials.csv what the defaults were chosen by; ours are those of `returns`.
+published.csv holds the highest final mean of several seeds within a million steps that we know of;
+ours are those of `returns`. earlier_trials.csv and trials.csv are what the defaults were chosen by.
 """
 
 import pandas as pd
@@ -13,6 +13,7 @@ from study import number
 EARLIER = ((4, "minibatches of 64, learning rate 3e-4"),  # stages, changes
            (5, "one environment, rollouts of 2048 steps"),
            (5, "KL once an epoch, over the whole rollout"))
+TRIAL_TASKS = "HalfCheetah", "Hopper", "Walker2d", "Ant", "Humanoid"
 
 
 def compare(other, finals):
@@ -39,9 +40,27 @@ def earlier_lines():
                    if several else ", ".join(map(study.number, gains))]
 
 
+def trial_lines():
+    """Of a table: a candidate, its mean return ÷ the default's on seeds that both have, by task."""
+    rows = study.read("trials")
+    rows = rows[rows["script"] == study.PPO]
+    typed = rows["options"].str.extract(r"--env-id (?P<task>\w+)-.*episodes \d+ ?(?P<option>.*)")
+    rows = rows.join(typed).assign(candidate=typed["option"] + rows["change"])
+    found = rows.pivot(index=["task", "seed"], columns="candidate", values=["return", "lost"])
+    for candidate in found["return"].columns.drop(""):
+        both = found["return"][["", candidate]].dropna().groupby("task").mean()
+        ratios = (both[candidate] / both[""]).reindex(TRIAL_TASKS)
+        ratios["mean"] = stats.gmean(ratios)
+        usual, lost = found["lost"].loc["InvertedDoublePendulum", ["", candidate]].dropna().sum()
+        yield [f"`{candidate}`", *("" if x != x else number(x, 2) for x in ratios),
+               number(lost), number(usual)]
+
+
 def draw(published):
     finals = study.final_rows(study.read("returns"))
-    tables = {"earlier": study.table(["change", "task", "pairs", "gain"], earlier_lines())}
+    tables = {"earlier": study.table(["change", "task", "pairs", "gain"], earlier_lines()),
+              "trials": study.table(["candidate ÷ default", *TRIAL_TASKS, "geometric mean", "lost",
+                                     "by the default"], trial_lines())}
     for same_version, others in published.groupby("same_version"):
         lines, p_values = zip(*(compare(other, finals) for _, other in others.iterrows()))
         tables["published" if same_version else "older versions"] = study.table(

@@ -5,7 +5,7 @@ import importlib
 import study
 
 STUDIES = ("returns", "published", "settings", "race", "speed", "processes", "baselines",
-           "robustness", "ablation", "exercises", "trials")
+           "robustness", "ablation", "exercises")
 
 
 def commits():

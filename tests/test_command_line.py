@@ -23,7 +23,7 @@ DEFAULTS = {
         "env_id": "InvertedDoublePendulum-v5", "total_steps": 150_000, "eval_episodes": 10,
         "num_envs": 16, "rollout_steps": 128, "epochs": 10, "minibatch_size": 512,
         "learning_rate": 1e-3, "gamma": 0.99, "gae_lambda": 0.95, "clip_eps": 0.2, "max_kl": 0.03,
-        "first_std": 0.6, "last_std": 0.1},
+        "first_std": 0.6, "last_std": 0.2},
 }
 
 

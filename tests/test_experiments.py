@@ -12,12 +12,12 @@ import merge
 import numpy as np
 import pandas as pd
 import peers
+import published
 import pytest
 import race
 import report
 import returns
 import study
-import trials
 import variants
 from conftest import SCRIPTS
 from harness import ROOT, train
@@ -248,19 +248,19 @@ def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
         assert line.split("|")[-2].strip() == "**ours above** (p < 0.001)"
 
 
-@pytest.mark.parametrize(("ratios", "lost", "usually", "taken"), [
-    ([1.3, 1, 1, 1, 1], 10, 10, True), ([1.3, 1.3, 1, 1, 0.9], 10, 10, False),
-    ([1] * 5, 5, 10, True), ([1] * 5, 6, 10, False), ([1] * 5, 0, 0, False),
-    ([0.9, 0.9, 1, 1, 1], 0, 10, False), ([], 0, 10, False)])
-def test_the_rule_of_trials(ratios, lost, usually, taken):
-    assert trials.taken(ratios, lost, usually) == taken
-
-
-def test_a_pendulum_is_lost_if_its_first_episode_ends_before_the_time_limit():
-    """Four: lost at once, then again; up when time is up; still up; lost when time is up."""
-    steps = [(0, 0, np.array([1, 0, 0, 0]) > 0, np.zeros(4) > 0),
-             (0, 0, np.array([1, 0, 0, 1]) > 0, np.array([0, 1, 0, 1]) > 0)]
-    assert trials.count_lost(steps) == 1
+def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatch):
+    """Of the pendulum only falls count."""
+    task = "--env-id {}-v5 --num-evals 1 --eval-episodes 50{}".format
+    rows = [(task("Hopper", ""), 1, 100, 0), (task("Hopper", ""), 2, 300, 0),
+            (task("Hopper", ""), 3, 900, 0), (task("Hopper", " --x 1"), 1, 100, 0),
+            (task("Hopper", " --x 1"), 2, 500, 0), (task("Ant", ""), 1, 10, 0),
+            (task("Ant", " --x 1"), 1, 6, 0), (task("InvertedDoublePendulum", ""), 1, 1, 5),
+            (task("InvertedDoublePendulum", ""), 2, 1, 4),
+            (task("InvertedDoublePendulum", " --x 1"), 1, 2, 3)]
+    rows = pd.DataFrame(rows, columns=["options", "seed", "return", "lost"])
+    monkeypatch.setattr(study, "read", lambda _: rows.assign(script=study.PPO, change=""))
+    assert list(published.trial_lines()) == [
+        ["`--x 1`", "", "1.50", "", "0.60", "", "", "3", "5"]]
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
