@@ -4,6 +4,8 @@ published.csv holds the highest final mean of several seeds within a million ste
 ours are those of `returns`. earlier_trials.csv and trials.csv are what the defaults were chosen by.
 """
 
+import itertools
+
 import pandas as pd
 import returns
 import study
@@ -41,26 +43,29 @@ def earlier_lines():
 
 
 def trial_lines():
-    """Of a table: a candidate, its mean return ÷ the default's on seeds that both have, by task."""
+    """Of a table: a candidate, its mean return ÷ another's on seeds that both have, by task."""
     rows = study.read("trials")
     rows = rows[rows["script"] == study.PPO]
     typed = rows["options"].str.extract(r"--env-id (?P<task>\w+)-.*episodes \d+ ?(?P<option>.*)")
     rows = rows.join(typed).assign(candidate=typed["option"] + rows["change"])
     found = rows.pivot(index=["task", "seed"], columns="candidate", values=["return", "lost"])
-    for candidate in found["return"].columns.drop(""):
-        both = found["return"][["", candidate]].dropna().groupby("task").mean()
-        ratios = (both[candidate] / both[""]).reindex(TRIAL_TASKS)
+    candidates = found["return"].columns
+    for other, candidate in itertools.product(["", "--last-std 0.2"], candidates):
+        if candidate == other or not candidate.startswith(other):
+            continue
+        both = found["return"][[other, candidate]].dropna().groupby("task").mean()
+        ratios = (both[candidate] / both[other]).reindex(TRIAL_TASKS)
         ratios["mean"] = stats.gmean(ratios)
-        usual, lost = found["lost"].loc["InvertedDoublePendulum", ["", candidate]].dropna().sum()
-        yield [f"`{candidate}`", *("" if x != x else number(x, 2) for x in ratios),
-               number(lost), number(usual)]
+        lost = found["lost"].loc["InvertedDoublePendulum", [candidate, other]].dropna()
+        yield [f"`{candidate}`", f"`{other}`" if other else "as it was",
+               *("" if x != x else number(x, 2) for x in ratios), *(map(number, lost.sum()) if len(lost) else ("", ""))]
 
 
 def draw(published):
     finals = study.final_rows(study.read("returns"))
     tables = {"earlier": study.table(["change", "task", "pairs", "gain"], earlier_lines()),
-              "trials": study.table(["candidate ÷ default", *TRIAL_TASKS, "geometric mean", "lost",
-                                     "by the default"], trial_lines())}
+              "trials": study.table(["candidate", "÷", *TRIAL_TASKS, "geometric mean", "lost",
+                                     "÷: lost"], trial_lines())}
     for same_version, others in published.groupby("same_version"):
         lines, p_values = zip(*(compare(other, finals) for _, other in others.iterrows()))
         tables["published" if same_version else "older versions"] = study.table(

@@ -29,9 +29,6 @@ CHANGES = {
         "            agent.obs_stats.update(batch.obs)\n", "")]),
     "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
                        "    share = (actions + 1) / 2\n")]),
-    "actions-clipped": (PPO, [(
-        "    return inside.clip(space.low, space.high)",
-        "    return actions.clip(space.low, space.high)")]),
     "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
     "learning-rate-constant": (PPO, [('["lr"] = remaining * args', '["lr"] = args')]),
     "sigma-learned": (PPO, [

@@ -260,7 +260,7 @@ def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatc
     rows = pd.DataFrame(rows, columns=["options", "seed", "return", "lost"])
     monkeypatch.setattr(study, "read", lambda _: rows.assign(script=study.PPO, change=""))
     assert list(published.trial_lines()) == [
-        ["`--x 1`", "", "1.50", "", "0.60", "", "", "3", "5"]]
+        ["`--x 1`", "as it was", "", "1.50", "", "0.60", "", "", "3", "5"]]
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
