@@ -57,8 +57,9 @@ def trial_lines():
         ratios = (both[candidate] / both[other]).reindex(TRIAL_TASKS)
         ratios["mean"] = stats.gmean(ratios)
         lost = found["lost"].loc["InvertedDoublePendulum", [candidate, other]].dropna()
+        falls = [number(x) if len(lost) else "" for x in lost.sum()]
         yield [f"`{candidate}`", f"`{other}`" if other else "as it was",
-               *("" if x != x else number(x, 2) for x in ratios), *(map(number, lost.sum()) if len(lost) else ("", ""))]
+               *("" if x != x else number(x, 2) for x in ratios), *falls]
 
 
 def draw(published):
