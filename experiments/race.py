@@ -1,6 +1,6 @@
 """Ours against stable-baselines3 and CleanRL: returns against steps and against minutes.
 
-Ours are the ten runs of `returns`. Minutes are steps divided by the steps a second that `speed`
+Ours are the runs of `returns`. Minutes are steps divided by the steps a second that `speed`
 measured side by side, as machines differ. stable-baselines3 takes some three hours on two cores;
 CleanRL, which logs its returns in training, is measured if CLEANRL is the path of its file.
 """
