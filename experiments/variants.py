@@ -23,7 +23,7 @@ CHANGES = {
         ("(policy_loss(ratio, A, clip_eps) + loss_v).backward()",
          "((policy_loss(ratio, A, clip_eps) if actor_learns else 0) + loss_v).backward()")]),
     "rewards-not-scaled": (PPO, [(
-        "return (rewards / scale).float(), past_rewards",
+        "return (rewards / stats.std()).float(), past_rewards",
         "return rewards.float(), past_rewards")]),
     "observations-not-normalised": (PPO, [(
         "            agent.obs_stats.update(batch.obs)\n", "")]),
