@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation; 1 where it is mere rounding, so that nothing is divided by ~0."""
+        """The standard deviation, or 1 where it is only rounding: no division by almost 0."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -395,13 +395,13 @@ def parse_args(argv=None, known=None):
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
     add("--randomize", action=argparse.BooleanOptionalAction, default=False, help="random moons")
-    add("--rollout-steps", type=in_range(int, 1), default=64, help="of each environment")
+    add("--rollout-steps", type=in_range(int, 1), default=64, help="steps per environment")
     add("--reward-scale", type=in_range(float, 0), default=0.1, help="multiplies rewards")
     add("--learning-rate", type=in_range(float, 0), default=2e-3, help="falls linearly to 0")
     add("--gamma", type=in_range(float, 0, 1), default=0.999, help="discount factor")
     add("--gae-lambda", type=in_range(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
     add("--entropy-coef", type=in_range(float, 0), default=0.01, help="falls linearly to 0")
-    add("--max-grad-norm", type=in_range(float, 0), default=0.5, help="of each network, at most")
+    add("--max-grad-norm", type=in_range(float, 0), default=0.5, help="limit for each network")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)
 
@@ -502,7 +502,7 @@ def watch(path):
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
+            sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made

@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation; 1 where it is mere rounding, so that nothing is divided by ~0."""
+        """The standard deviation, or 1 where it is only rounding: no division by almost 0."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -357,7 +357,7 @@ def parse_args(argv=None, known=None):
     add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
     add("--eval-episodes", type=in_range(int, 1), default=10, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=16, help="environments stepped together")
-    add("--rollout-steps", type=in_range(int, 1), default=128, help="of each environment")
+    add("--rollout-steps", type=in_range(int, 1), default=128, help="steps per environment")
     add("--epochs", type=in_range(int, 1), default=10, help="passes over a rollout, at most")
     add("--minibatch-size", type=in_range(int, 2), default=512, help="samples in a minibatch")
     add("--learning-rate", type=in_range(float, 0), default=1e-3, help="falls linearly to 0")
@@ -484,7 +484,7 @@ def watch(path):
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
+            sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made

@@ -5,7 +5,7 @@
 # ///
 """REINFORCE: policy gradients from whole episodes, in one file.
 
-    python reinforce_mujoco.py --seed 1 2 3           # or: uv run reinforce_mujoco.py --seed 1
+    python reinforce_mujoco.py --seed 1 2 3             # or: uv run reinforce_mujoco.py --seed 1
     python reinforce_mujoco.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
@@ -386,7 +386,7 @@ def watch(path):
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
-            sys.exit(f"--watch {path}: other options; take the {saved['script']} that made it")
+            sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
         make_repeatable(seed)  # some environments draw numbers when they are made

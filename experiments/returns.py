@@ -14,12 +14,13 @@ LEARNED = {"Ant-v5": 1000, "Hopper-v5": 1000, "Walker2d-v5": 1000, "Humanoid-v5"
 HUNDRED = "--num-evals 1 --eval-episodes 100"
 SEEDS = {REINFORCE: range(101, 121), A2C: range(71, 101), PPO: range(101, 111)}
 OLDER = "InvertedPendulum-v5", "Pusher-v5", "Reacher-v5", "Swimmer-v5"  # seeds 71 to 80
-BEFORE = f"{TASKS[PENDULUM]} --last-std 0.1"  # the default, then
+BEFORE = {task: f"{TASKS[task]} --last-std 0.1" for task in PANELS}  # the default, then
 CURVES = [*(Job(PPO, options, seed=seed - 30 * (task in OLDER))
             for seed in SEEDS[PPO] for task, options in TASKS.items()),
-          *(Job(PPO, BEFORE, seed=seed) for seed in range(71, 81))]
+          *(Job(PPO, BEFORE[PENDULUM], seed=seed) for seed in range(71, 81))]
 JOBS = [*(Job(script, seed=seed) for seed in range(1, 6) for script in SEEDS),
-        *(Job(script, HUNDRED, seed=seed) for script in SEEDS for seed in SEEDS[script]), *CURVES]
+        *(Job(script, HUNDRED, seed=seed) for script in SEEDS for seed in SEEDS[script]), *CURVES,
+        *(Job(PPO, BEFORE[task], seed=seed) for seed in range(71, 81) for task in PANELS[:-1])]
 
 
 def measure(job):
@@ -68,12 +69,20 @@ def script_line(script, runs, typed):
             f"{args.total_steps:,}, {number(typed['seconds'].median())} s"]
 
 
+def before_and_after(rows):
+    """Of a table: the last returns with --last-std 0.1, with 0.2, and their difference."""
+    finals = study.final_rows(rows).set_index("options")["return"]
+    cells = [study.compared(finals[TASKS[task]], finals[BEFORE[task]]) for task in PANELS]
+    p_values = [study.welch(finals[TASKS[task]], finals[BEFORE[task]]).p for task in PANELS]
+    return [[task, *line[:3], p] for task, line, p in zip(PANELS, cells, study.marked(p_values))]
+
+
 def falls(rows):
     """By part of a run: evaluations in which a double pendulum fell, and of how many seeds."""
     for first, last in (0.1, 0.4), (0.4, 0.7), (0.7, 1.0):
         part = rows[rows["steps"].div(1e6).round(2).between(first, last, inclusive="right")]
         line = [f"{first} to {last}"]
-        for options in BEFORE, TASKS[PENDULUM]:
+        for options in BEFORE[PENDULUM], TASKS[PENDULUM]:
             runs = part[part["options"] == options]
             fell = runs[runs["return"] < gym.spec(PENDULUM).reward_threshold]
             line.append(f"{len(fell)} of {len(runs)}, {fell['seed'].nunique()} seeds")
@@ -90,6 +99,8 @@ def draw(rows):
         "ten tasks": study.table(
             ["task", "mean ± std", "median (95%)", "learned", "at threshold", "median minutes"],
             [task_line(task, runs) for task, runs in of_task.items()]),
+        "before and after": study.table(
+            ["task", "`--last-std 0.1`", "0.2", "difference, 95%", "p"], before_and_after(rows)),
         "falls": study.table(["million steps", "a fall, with `--last-std 0.1`", "with 0.2"],
                              falls(rows))}
 
