@@ -21,8 +21,8 @@ of an episode. Two neural networks learn:
                          r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1, as later rewards owe
                          less to this action and mostly add noise
 
-Without V an episode must end before we know what followed each action. In A2C V stands in for the
-rewards still to come. (A3C [1] is the same without waiting for the slowest environment.) An update:
+Without V an episode must end before we know what followed each action. In A2C [1] V stands in for
+the rewards still to come, so the networks can learn every T steps, in mid-episode. An update:
 
   1. Anneal linearly to 0: the learning rate and the weight c of the entropy bonus (in 5).
   2. Collect a rollout: T steps in each of N environments.
@@ -38,13 +38,14 @@ rewards still to come. (A3C [1] is the same without waiting for the slowest envi
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
-uses T·N steps, so a larger N means fewer updates. `--randomize` varies the physics
-(`RandomPhysics`). Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are
-details that help.
+uses T·N steps, so with as many steps in all, a larger N means fewer updates.
+
+Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are details that help.
+`--randomize` gives each episode physics of its own (`RandomPhysics`).
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 In shapes: T rollout_steps, N num_envs, D numbers in an observation.
-[1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning, arXiv 1602.01783.
+[1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning, arXiv 1602.01783 (A3C).
 [2] Schulman et al. 2016, Generalized Advantage Estimation, arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
 [4] Peng et al. 2018, Sim-to-Real Transfer ... with Dynamics Randomization, arXiv 1710.06537.
@@ -112,7 +113,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is only rounding: no division by almost 0."""
+        """The standard deviation, or 1 where it is mere rounding: never divide by almost 0."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -171,7 +172,7 @@ def rollout(envs, agent, obs, num_steps):
         steps.append((obs, actions, rewards, next_obs, terminated, done))
         obs = next_obs
         if done.any():
-            returns += infos["episode"]["r"][done].tolist()
+            returns += infos["episode"]["r"][done].tolist()  # of RecordEpisodeStatistics
             obs, _ = envs.reset(options={"reset_mask": done})
     columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
     return Transitions(*columns), obs, returns
@@ -192,7 +193,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, this is REINFORCE with the baseline V: what followed, minus V(s_t).
+    episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -208,9 +209,10 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = Σ return·∇p = E[return·Σ_t ∇log π(a_t|s_t)]          Σ over all episodes
 
-    Whatever happened before a_t, the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0. So
-    at step t we may leave out earlier rewards and subtract V(s_t): the same mean, with less noise.
-    (If all returns are near 200, every action is pushed up; now only the better ones are.)
+    Given all that came before a_t, the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0.
+    It stays 0 when multiplied by what is fixed by then, like earlier rewards or V(s_t). So we leave
+    out the former and subtract the latter: the same mean, with less noise. (If all returns are near
+    200, every action is pushed up without V; with it only the better ones are.)
 
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
@@ -249,14 +251,16 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     of its own, so at every step a message goes to each and back, and all wait for the slowest:
 
         sync     N·step
-        async    N·step/cores + N·message        roughly, with at most N cores
+        async    N·step/cores + N·message        roughly, if all steps take equally long
 
-    Here cores are idle ones (other seeds take some), and a message there and back takes some 0.04
-    ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step takes longer than
-    0.08 ms. One on the moon takes 0.03 ms, so async does not pay there. To find out for your own,
-    run both and compare `seconds` in the logs. Evaluations are always sync: `evaluate` seeds the
-    global generators of this process, so an environment that draws from them must live in it. Train
-    it sync, too, as its processes may all start from the same generator.
+    Here cores are idle ones, at most N (other seeds take some), and a message there and back takes
+    some 0.04 ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step takes
+    longer than 0.08 ms; with many, than 0.04. A step of LunarLander takes 0.03 ms, so there async
+    never pays. To find out for your own, run both and compare `seconds` in the logs.
+
+    Evaluations are always sync: `evaluate` seeds the global generators of this process (np.random,
+    …), so an environment that draws from them must live in it. Train such an environment sync, too:
+    separate processes may all start with the same generator, and so play the same episodes.
 
     By default ("NextStep") a vector resets an environment in the step after the end of its episode.
     That step ignores the action and earns nothing: a transition that never happened, from which an
@@ -287,7 +291,7 @@ class RandomPhysics(gym.Wrapper):
 
     An agent is often meant for a world that we know only roughly, say a robot that is trained in a
     simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
-    observe φ, so one policy has to do for all moons. Returns (mean ± std over ten agents) by
+    observe φ, so one policy has to do for all moons. Mean returns (± std over ten agents), by
     `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` or `--randomize`:
 
         trained             usual moon    random moons
@@ -295,14 +299,14 @@ class RandomPhysics(gym.Wrapper):
         with --randomize    219 ± 50      190 ± 42
 
     Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
-    It may where the real world is farther from the simulator.
+    It may pay where the real world is farther from the simulator.
 
     For another environment write such a wrapper, and put it and the environment's name into
     `make_envs`, in place of RandomPhysics and LunarLander. Draw from ranges as wide as your doubts
     (this moon allows a gravity between −12 and 0, and recommends these winds), and set the numbers
-    before the environment's own reset. The environment checks them only in its `__init__`, so yours
-    go unchecked; and what it derived from them there must be derived again. For CartPole, between
-    the first lines of `reset` and its last:
+    before the environment's own reset, which builds the world from them. They are checked only in
+    `__init__`, so yours go unchecked; and what was derived from them there must be derived again.
+    For CartPole, in place of the five lines about the moon in `reset`:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
@@ -330,7 +334,9 @@ def train(index, args, folder):
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
+    eval_envs = make_envs(args, args.eval_episodes)
+    make_repeatable(seed)  # again: what these draw when they are made must not change training
+    with (closing(eval_envs),
           closing(make_envs(args, args.num_envs, args.vectorization, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
@@ -347,8 +353,9 @@ def train(index, args, folder):
             check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
-            # 4. Estimate advantages and targets, constants in 5: V moves to them, not they to V.
-            with torch.no_grad():  # next_obs, as the next row of obs may be another episode's
+            # 4. Estimate advantages and targets, which are constants in 5: only V moves.
+            with torch.no_grad():
+                # Not obs[1:], as the next row may be another episode's.
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -369,7 +376,7 @@ def train(index, args, folder):
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean(returns) if returns else np.nan, **metrics})
             # After the first update, then each time another 1/num_evals of the steps is done.
-            if env_step >= evals_done / args.num_evals * args.total_steps:
+            if env_step * args.num_evals >= evals_done * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
                 bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
@@ -445,9 +452,9 @@ class Tidy(gym.Wrapper):
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
-                space = copy.deepcopy(getattr(self.unwrapped, name))
-                space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # a property stays as it is
+                vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
+                # Some environments draw from it. If it is a property, that is not the copy.
+                getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
@@ -529,7 +536,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of training episodes that ended in an update. Below: each metric.
+    Pale: the mean return of the training episodes between two updates. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -561,8 +568,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
-              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations, and all of REINFORCE, end episodes "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

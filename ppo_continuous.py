@@ -17,14 +17,14 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
 *return*, the sum of all rewards of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
-    the critic  V(s)                        what to expect from s on with π: the mean *reward to go*
+    the critic  V(s)                        the mean *reward to go* from s on, if π acts:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-With γ a little below 1, rewards more than some 1/(1−γ) steps away hardly count: they owe little to
+With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they owe little to
 this action and would mostly add noise. The *advantage* A of an action is how much higher G is, on
 average, after it than after an action drawn from π; a stretch of recorded steps, a *rollout*, gives
-a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. A2C takes
-one gradient step on a rollout and throws it away. PPO [1] takes many, so each rollout teaches more.
+a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
+algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, to learn more of it.
 But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.2.
@@ -37,9 +37,9 @@ But a rollout only shows what its own policy, π_old, did, so π must stay near 
      KL(π_old ‖ π). Once it is above max_kl, skip the remaining steps and go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-2, 4 and 5 are PPO, the rest are details that help. Common ones [4] are the falling rate, 3, 6,
-max_kl, standardised A and the initial weights; less common are a schedule of σ, and tanh, which
-keeps actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
+2, 4 and 5 are PPO, except for max_kl and standardised A. These, the falling rate, 3, 6 and the
+initial weights are details that help [4]; less common are a schedule of σ, and tanh, which keeps
+actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is only rounding: no division by almost 0."""
+        """The standard deviation, or 1 where it is mere rounding: never divide by almost 0."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -182,7 +182,7 @@ def rollout(envs, agent, obs, num_steps):
         steps.append((obs, actions, rewards, next_obs, terminated, done))
         obs = next_obs
         if done.any():
-            returns += infos["episode"]["r"][done].tolist()
+            returns += infos["episode"]["r"][done].tolist()  # of RecordEpisodeStatistics
             obs, _ = envs.reset(options={"reset_mask": done})
     columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
     return Transitions(*columns), obs, returns
@@ -220,7 +220,7 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
     of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, this is REINFORCE with the baseline V: what followed, minus V(s_t).
+    episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -238,7 +238,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Summed with weights γ^t over the states that π meets, this is the exact gain in discounted
     return [5]. PPO takes the states that π_old has met instead, which is nearly the same
-    while π is near π_old, and drops γ^t: raise E[ρ·A]. At ρ = 1, where an update starts, its
+    while π is near π_old, drops γ^t, and so raises E[ρ·A]. At ρ = 1, where an update starts, its
     gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away the estimate gets worse,
     so a sample drops out once ρ has gone far enough in the direction of A:
 
@@ -288,8 +288,9 @@ def train(index, args, folder):
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,
-          closing(make_envs(args, args.num_envs, "Disabled")) as envs,
+    eval_envs = make_envs(args, args.eval_episodes)
+    make_repeatable(seed)  # again: what these draw when they are made must not change training
+    with (closing(eval_envs), closing(make_envs(args, args.num_envs, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
@@ -308,9 +309,10 @@ def train(index, args, folder):
             rewards, past_rewards = scale_rewards(
                 batch.rewards, batch.done, past_rewards, reward_stats, args.gamma)
             # 4. Estimate advantages and targets, which are constants in 5, like π_old.
-            with torch.no_grad():  # next_obs, as the next row of obs may be another episode's
+            with torch.no_grad():
                 old_pi = agent.policy(batch.obs)
                 old_log_probs = old_pi.log_prob(batch.actions).sum(-1)
+                # Not obs[1:], as the next row may be another episode's.
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -333,7 +335,7 @@ def train(index, args, folder):
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
                         "return": np.mean(returns) if returns else np.nan, **metrics})
             # After the first update, then each time another 1/num_evals of the steps is done.
-            if env_step >= evals_done / args.num_evals * args.total_steps:
+            if env_step * args.num_evals >= evals_done * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
                 bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
@@ -401,7 +403,7 @@ def make_repeatable(seed):
 
 
 def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
-    """A vector of `count` environments. With "NextStep", for evaluation, they reset themselves."""
+    """A vector of `count` environments. "NextStep": they reset themselves; else `rollout` does."""
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -427,9 +429,9 @@ class Tidy(gym.Wrapper):
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
-                space = copy.deepcopy(getattr(self.unwrapped, name))
-                space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # a property stays as it is
+                vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
+                # Some environments draw from it. If it is a property, that is not the copy.
+                getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 
     def step(self, action):
@@ -511,7 +513,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of training episodes that ended in an update. Below: each metric.
+    Pale: the mean return of the training episodes between two updates. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -543,8 +545,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
-              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations, and all of REINFORCE, end episodes "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

@@ -35,10 +35,10 @@ learns by trial and error: actions followed by high rewards become more likely.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
-orthogonal weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions of the
-order of 1). If a time limit cuts an episode off, V(s_T) stands for the missing rewards [3], so the
-critic is trained with every baseline. Nothing is rescaled: observations, actions and rewards should
-be of the order of 1.
+orthogonal initial weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions
+of the order of 1). If a time limit cuts an episode off after T steps, V(s_T) stands for the rewards
+that would have followed [3]; for this the critic is trained whatever the baseline. Nothing is
+rescaled: observations, actions and rewards should be of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
 In shapes: T steps of an episode, B of a batch; D numbers in an observation, K in an action.
@@ -161,7 +161,7 @@ def policy_loss(log_probs, advantages):
     In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
     The three lines above hold for episodes, too, with τ for a, P(τ) for π(a), the return for r(a):
 
-        ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = Σ_t Σ_i E[r_i·∇log π(a_t|s_t)]
+        ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = E[Σ_t Σ_i r_i·∇log π(a_t|s_t)]
 
     *Less noise.* Given all that came before a_t, the mean of ∇log π(a_t|s_t) is 0:
 
@@ -174,9 +174,9 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    A is a constant, so −A·log π has the gradient −A·∇log π: on average, a step down the loss is a
-    step up the mean return. The loss differs from the formula as follows:
-      - a mean over the batch's steps, so gradients do not grow as episodes get longer;
+    A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
+    loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
+      - a mean over the batch's steps, not a sum, so gradients do not grow with the episodes;
       - γ < 1 counts late rewards less: some bias, less noise. [2] also multiplies by γ^t, which
         we leave out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
@@ -197,7 +197,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # Near 1, V rises and falls as G does; at 0 or less it does not help. (Offsets go unseen.)
+    # Near 1, V follows G up to a constant; at 0 or less, subtracting V does not make G vary less.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -212,10 +212,11 @@ def train(index, args, folder):
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
-    with (closing(make_envs(args, args.eval_episodes)) as eval_envs,  # all play at once
-          closing(make_envs(args, 1)) as envs,
+    eval_envs = make_envs(args, args.eval_episodes)  # all play at once
+    make_repeatable(seed)  # again: what these draw when they are made must not change training
+    with (closing(eval_envs), closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # the environment itself: the vector around it would reset it
+        (env,) = envs.envs  # without the vector, which would reset it, as `play` does
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -226,8 +227,8 @@ def train(index, args, folder):
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
             obs, actions, rewards, last_values = zip(*episodes)
             # 2. Compute the rewards to go.
-            rewards_to_go = [compute_rewards_to_go(of_episode, last_value, args.gamma)
-                             for of_episode, last_value in zip(rewards, last_values)]
+            rewards_to_go = [compute_rewards_to_go(of_one, last_value, args.gamma)
+                             for of_one, last_value in zip(rewards, last_values)]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -237,9 +238,9 @@ def train(index, args, folder):
             env_step += sum(map(len, rewards))
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                        "return": np.mean([sum(of_episode) for of_episode in rewards]), **metrics})
+                        "return": np.mean([sum(of_one) for of_one in rewards]), **metrics})
             # After the first update, then each time another 1/num_evals of the steps is done.
-            if env_step >= evals_done / args.num_evals * args.total_steps:
+            if env_step * args.num_evals >= evals_done * args.total_steps:
                 evals_done += 1
                 log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
                 bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
@@ -313,18 +314,18 @@ def make_envs(args, count, **kwargs):
 
 
 class Tidy(gym.Wrapper):
-    """An environment that clips actions, insists on finite numbers, and has spaces of its own.
+    """An environment that clips actions, insists on finite numbers, drops infos, owns its spaces.
 
     Some classes share their spaces among all their environments. To seed one for an evaluation
-    would change what training draws from it, so each environment gets a copy.
+    would change what training draws from it, so a reset with a seed gives each environment a copy.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
-                space = copy.deepcopy(getattr(self.unwrapped, name))
-                space.seed(seed + i)  # some environments draw from it
-                vars(self.unwrapped)[name] = space  # a property stays as it is
+                vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
+                # Some environments draw from it. If it is a property, that is not the copy.
+                getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
     def step(self, action):
@@ -413,7 +414,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of training episodes that ended in an update. Below: each metric.
+    Pale: the mean return of the training episodes between two updates. Below: each metric.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -445,8 +446,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (REINFORCE: all episodes) stop after "
-              "1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations, and all of REINFORCE, end episodes "
+              "after 1,000 steps. To set another: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

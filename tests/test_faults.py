@@ -2,6 +2,7 @@
 
 import random
 from contextlib import nullcontext
+from copy import deepcopy
 from pathlib import Path
 
 import gymnasium as gym
@@ -168,15 +169,25 @@ class Seeding(Drawing):
         return super().reset(seed=seed)
 
 
-register("Drawing", Drawing)
-register("Seeding", Seeding)
+class Hiding(Drawing):
+    """Its space is a property, which hands out its own."""
+
+    observation_space = property(
+        lambda self: self.hidden, lambda self, space: vars(self).update(hidden=deepcopy(space)))
 
 
-@pytest.mark.parametrize("name", ["Drawing", "Seeding"])
+DRAWING = Drawing, Seeding, Hiding
+for world in DRAWING:
+    register(world.__name__, world)
+
+
+@pytest.mark.parametrize("name", [world.__name__ for world in DRAWING])
 def test_a_seed_repeats_all_and_an_evaluation_touches_nothing(
         script, name, watch, tmp_path, monkeypatch):
-    def start(folder, seed):
-        path = script.train(tmp_path / folder, env_id=script.world(name, "test_faults"), seed=seed)
+    """Nor does the number of its environments, which draw when they are made."""
+    def start(folder, seed, *options):
+        env_id = script.world(name, "test_faults")
+        path = script.train(tmp_path / folder, *options, env_id=env_id, seed=seed)
         return path, read_log(f"{path}.csv")
 
     (path, first), (_, again), (_, other) = (
@@ -187,7 +198,7 @@ def test_a_seed_repeats_all_and_an_evaluation_touches_nothing(
     for options in (), ("--eval-episodes", 2, "--seed", SEED):
         assert watch(script, path, *options)[0] == first["eval_return"].iloc[-1]
     monkeypatch.setattr(script.module, "evaluate", lambda *_: 0.0)
-    _, undisturbed = start("undisturbed", SEED)
+    _, undisturbed = start("undisturbed", SEED, "--eval-episodes", 3)
     first, undisturbed = (x.drop(columns="eval_return") for x in (first, undisturbed))
     pd.testing.assert_frame_equal(first, undisturbed, check_exact=True)
 
