@@ -17,6 +17,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import warnings
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from types import ModuleType
@@ -175,7 +176,9 @@ def difference(test):
 
 def welch(changed, usual):
     """The mean of the first minus that of the second."""
-    return difference(stats.ttest_ind(changed, usual, equal_var=False))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # where all of one are equal
+        return difference(stats.ttest_ind(changed, usual, equal_var=False))
 
 
 def gain(gains):
