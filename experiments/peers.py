@@ -149,10 +149,11 @@ def cleanrl_speed(args):
 def learn_cleanrl(args):
     """A row for each twentieth of the steps: returns in training, averaged as ours are."""
     log = run_cleanrl(args)
-    returns = log[log["tag"] == "charts/episodic_return"]
-    ends = log.loc[log["tag"] == "charts/SPS", "steps"]  # of its updates
-    of_updates = returns["value"].groupby(np.searchsorted(ends, returns["steps"])).mean()
-    rows = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(ends))).mean()
+    returns, updates = (log[log["tag"] == f"charts/{x}"] for x in ("episodic_return", "SPS"))
+    of_updates = returns["value"].groupby(np.searchsorted(updates["steps"], returns["steps"]))
+    of_updates = of_updates.mean()
+    rows = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(updates))).mean()
+    steps = rows.index * updates["steps"].max() / 20
     version = study.git("hash-object", Path(CLEANRL).resolve())[:7]  # git's name of this very text
-    return pd.DataFrame({"steps": rows.index * ends.max() / 20, "sampled": rows.values,
-                         "cleanrl": version})
+    return pd.DataFrame({"steps": steps, "seconds": steps / updates["value"].iloc[-1],
+                         "sampled": rows.values, "cleanrl": version})

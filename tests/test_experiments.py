@@ -227,6 +227,7 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
     rows = peers.learn(job)
     assert rows["steps"].to_list() == list(range(4, 81, 4))
     assert rows["sampled"].to_list() == [x - 1.5 for x in rows["steps"]]  # of steps x − 3 to x
+    assert rows["seconds"].iloc[-1] == 80 / 1040
     assert peers.cleanrl_speed(study.load(job._replace(script="ppo_continuous.py", change=""))[1]) \
         == 1040
     assert not capsys.readouterr().out
