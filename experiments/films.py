@@ -59,7 +59,7 @@ def mark(env, positions, **looks):
 
 
 def decorate(env, task, step, pushed):
-    """Posts every two metres behind the cheetah; an arrow where the pole has just been pushed."""
+    """Colours; posts every two metres behind the cheetah; an arrow where the pole was pushed."""
     if task == "HalfCheetah-v5":
         env.model.geom_rgba[1:] = (1.0, 0.5, 0.1, 1.0)
         first = 2 * round(env.data.qpos[0] / 2)
@@ -68,6 +68,7 @@ def decorate(env, task, step, pushed):
              rgba=np.array([0.1, 0.2, 0.6, 1.0]))
     if task == "InvertedDoublePendulum-v5":
         env.model.geom_rgba[0, 3] = 0.0  # no floor
+        env.model.geom_rgba[-1] = (1.0, 0.5, 0.1, 1.0)  # the upper pole
     if pushed and step % 40 in range(5, 17):
         x = env.data.qpos[0] - 0.55 * pushed
         turn = [0, 0, pushed, 0, 1, 0, -pushed, 0, 0]  # from the z-axis to ± x
