@@ -130,12 +130,11 @@ def run_cleanrl(args):
     options = {"env_id": args.env_id, "total_timesteps": args.total_steps, "seed": args.seed[0],
                "cuda": False}
     writer = mock.Mock()
-    sys.modules["tyro"] = mock.Mock(cli=lambda Args: Args(**options))
-    sys.modules["torch.utils.tensorboard"] = mock.Mock(SummaryWriter=lambda _: writer)
-    with contextlib.redirect_stdout(io.StringIO()):
+    theirs = {"tyro": mock.Mock(cli=lambda Args: Args(**options)),
+              "torch.utils.tensorboard": mock.Mock(SummaryWriter=lambda _: writer)}
+    with mock.patch.dict(sys.modules, theirs), contextlib.redirect_stdout(io.StringIO()):
         exec(compile(text.replace(old, f"{old}, env.observation_space"), CLEANRL, "exec"),
              {"__name__": "__main__", "__file__": CLEANRL})
-    del sys.modules["tyro"], sys.modules["torch.utils.tensorboard"]
     return pd.DataFrame([call.args for call in writer.add_scalar.call_args_list],
                         columns=["tag", "value", "steps"])
 

@@ -100,7 +100,7 @@ def float64(monkeypatch):
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory):
     """finished(script): a run of two seeds: where it was started, and its process."""
-    @functools.cache
+    @functools.cache  # a run for each script, however the tests are ordered
     def finished(script):
         cwd = tmp_path_factory.mktemp(script.name)
         arguments = ["--env-id", script.env_id, *script.small, "--seed", *script.seeds]

@@ -7,10 +7,12 @@ from torch import nn
 
 
 @pytest.mark.parametrize(("network", "last_gain"), [("actor", 0.01), ("critic", 1.0)])
-def test_weights_are_orthogonal_with_their_gains_and_biases_zero(script, network, last_gain):
+def test_networks_bend_twice_and_begin_orthogonal_without_biases(script, network, last_gain):
     agent = script.agent(script.world("ThreeSteps"), hidden_size=24)
-    layers = [layer for layer in getattr(agent, network) if isinstance(layer, nn.Linear)]
-    assert [layer.out_features for layer in layers[:2]] == [24, 24]
+    network, x = getattr(agent, network), torch.randn(9, 2)
+    first, second, last = layers = [layer for layer in network if isinstance(layer, nn.Linear)]
+    bend = torch.relu if script.name == "a2c_vector" else torch.tanh
+    torch.testing.assert_close(network(x), last(bend(second(bend(first(x))))))
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain), strict=True):
         rows, columns = layer.weight.shape
         W = layer.weight if rows <= columns else layer.weight.T

@@ -162,7 +162,7 @@ def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
     rows = pd.DataFrame({"options": "--env-id Hopper-v5 --total-steps 1e6", "change": "zoo",
                          "seed": 1, "steps": [1, 40_000, 60_000, 960_000, 980_000, 1_001_472],
                          "return": [0, 1, 3, 5, 7, 9]})
-    curve = race.curves_of("Hopper-v5", rows)["sb3, zoo"]
+    curve = race.curves_of(race.RACES["race"], "Hopper-v5", rows)["sb3, zoo"]
     assert curve[["steps", "return"]].to_numpy().tolist() == [[0.05, 2], [0.95, 5], [1, 8]]
 
 
@@ -239,9 +239,9 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
 CLOCK = {"steps": 1_000_000, "seconds": 100, "processor": "one"}
 
 
-def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
-    monkeypatch.setattr(study, "save", lambda *_: None)
+def test_cleanrl_has_a_line_for_each_task(monkeypatch):
     """Ours, planted like theirs: in training 1,000 more than a seed, which is what they have."""
+    monkeypatch.setattr(study, "save", lambda *_: None)
     measured = study.read("race")
     ours = [job for job in returns.CURVES if job.seed > 100]
     planted = pd.DataFrame(ours).assign(**CLOCK, **{"return": 0.0})
@@ -250,7 +250,7 @@ def test_a_peer_has_lines_in_the_table_once_it_has_rows(tables, monkeypatch):
     monkeypatch.setattr(study, "read", lambda name: planted if name == "returns" else read(name))
     jobs = [job for job in race.JOBS if job.change == "CleanRL"]
     rows = pd.DataFrame(jobs).assign(**CLOCK, sampled=[job.seed for job in jobs])
-    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], rows]))["race"]
+    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], rows]))["cleanrl"]
     lines = [line for line in table.splitlines() if "CleanRL" in line]
     assert len(lines) == 3
     for line in lines:

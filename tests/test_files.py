@@ -72,26 +72,15 @@ def test_seeds_in_parallel_equal_seeds_alone(script, folder, tmp_path):
     assert not first.equals(second)
 
 
-BUG = """
-import gymnasium as gym
-from harness import World
-
-class Buggy(World):
-    def reward(self, action):
-        return 1 / (self.total < 40)
-
-gym.register("Buggy-v0", Buggy)
-"""
-
-
 @pytest.mark.slow
 def test_a_bug_in_the_user_s_environment_keeps_its_traceback(tmp_path):
     """It strikes after the first evaluation; the module lies where the user stands."""
-    (tmp_path / "here.py").write_text(BUG)
+    (tmp_path / "here.py").write_text(
+        "import harness\nharness.World.reward = lambda world, _: 1 / (world.total < 40)\n")
     options = "--num-envs 4 --rollout-steps 32 --total-steps 1024 --eval-episodes 1 --num-evals 8"
-    arguments = "--env-id", "here:Buggy-v0", *options.split(), "--seed", 1, 2
+    arguments = "--env-id", "here:ThreeSteps-v0", *options.split(), "--seed", 1, 2
     process = run("ppo_continuous.py", *arguments, cwd=tmp_path, status=1)
-    assert 'here.py", line 7, in reward' in process.err
+    assert 'here.py", line 2, in <lambda>' in process.err
     assert "ZeroDivisionError: division by zero" in process.err
     assert len(list(tmp_path.glob("runs/*/learning_curve.png"))) == 1
 

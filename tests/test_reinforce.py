@@ -14,8 +14,6 @@ import reinforce_mujoco as rf
 pytestmark = pytest.mark.usefixtures("float64")
 
 LENGTHS = {"ThreeSteps": 3, "Forever": 8, "BothEnds": 3}
-
-
 Rising = type("Rising", (World,), {"reward": lambda self, action: float(self.steps)})
 register("Rising", Rising, limit=3, length=None, actions=Box(-1, 1, (3,)))
 

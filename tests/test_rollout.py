@@ -53,20 +53,14 @@ def test_the_stored_actions_are_those_that_were_executed(script):
 
 
 @both
-def test_every_episode_counts_once_with_its_raw_return(script, monkeypatch):
+def test_every_environment_has_its_own_seed_and_every_episode_counts_once_with_its_raw_return(
+        script, monkeypatch):
     """5 steps in 4 environments at a time: some episodes span two rollouts; NaN where none ends."""
     rollouts = spy_rollouts(monkeypatch, script.module)
     log = train(monkeypatch, script.module, "--env-id", script.world("Forever"), "--num-envs", 4,
-                "--rollout-steps", 5, "--total-steps", 80)
+                "--rollout-steps", 5, "--total-steps", 80, "--seed", SEED)
+    starts = [np_random(seed)[0].uniform(-1, 1) for seed in script.module.make_seeds(SEED, 2, 4)]
+    assert rollouts[0][1].obs[0, :, 0].tolist() == pytest.approx(starts)
     assert torch.equal(rollouts[0][1].next_obs[-1], rollouts[1][1].obs[0])  # which goes on
     assert log["env_step"].tolist() == [20, 40, 60, 80]
     np.testing.assert_equal(log["return"].to_numpy(), [np.nan, 8, np.nan, 8])
-
-
-@both
-def test_each_environment_of_a_training_starts_with_a_seed_of_its_own(script, monkeypatch):
-    rollouts = spy_rollouts(monkeypatch, script.module)
-    train(monkeypatch, script.module, "--env-id", script.world("ThreeSteps"), "--num-envs", 4,
-          "--total-steps", 100, "--seed", 5)
-    expected = [np_random(seed)[0].uniform(-1, 1) for seed in script.module.make_seeds(5, 2, 4)]
-    assert rollouts[0][1].obs[0, :, 0].tolist() == pytest.approx(expected)

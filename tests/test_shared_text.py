@@ -16,16 +16,13 @@ SHARED = {  # name: the files that have it (R, A, P), those with the same text i
     "Tidy": "AP R", "Transitions": "A P", "mlp": "A RP"}
 
 
-def functions(text):
-    return {node.name: ast.get_source_segment(text, node) for node in ast.parse(text).body
-            if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-
-
 def test_functions_of_the_same_name_have_the_same_text_in_these_files():
     found = {}
     for file, text in TEXTS.items():
-        for name, source in functions(text).items():
-            found.setdefault(name, {}).setdefault(source, []).append(file[0].upper())
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                source = ast.get_source_segment(text, node)
+                found.setdefault(node.name, {}).setdefault(source, []).append(file[0].upper())
     found = {name: " ".join(sorted("".join(files) for files in groups.values()))
              for name, groups in found.items()}
     assert {name: groups for name, groups in found.items() if len(groups) > 1} == SHARED
