@@ -40,7 +40,7 @@ Why N environments? T steps in a row are much alike; N environments tell N diffe
 gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
 uses T·N steps, so with as many steps in all, a larger N means fewer updates.
 
-Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are details that help.
+Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.

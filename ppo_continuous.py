@@ -24,7 +24,7 @@ With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly co
 this action and would mostly add noise. The *advantage* A of an action is how much higher G is, on
 average, after it than after an action drawn from π; a stretch of recorded steps, a *rollout*, gives
 a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
-algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, to learn more of it.
+algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
 But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
   1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.2.
@@ -38,7 +38,7 @@ But a rollout only shows what its own policy, π_old, did, so π must stay near 
   6. Update the statistics that normalise observations. Start again at 1.
 
 2, 4 and 5 are PPO, except for max_kl and standardised A. These, the falling rate, 3, 6 and the
-initial weights are details that help [4]; less common are a schedule of σ, and tanh, which keeps
+initial weights are usual details [4]; less common are a schedule of σ, and tanh, which keeps
 actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.

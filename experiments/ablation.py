@@ -62,9 +62,9 @@ def draw_gains(details, order, tasks):
         axis.axvline(0, color="grey")
         axis.set(title=title, xlabel="gain, %", xlim=(-100, 35))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
-    picture.suptitle(f"{worse} of {len(details)} changes make PPO significantly worse, {better} "
-                     "better (filled dots)\nhollow: may be chance, as so many are compared, even "
-                     "where a 95% interval leaves out 0")
+    picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
+                     f"worse, in {better} better (filled dots)\nhollow: may be chance, as so many "
+                     "are compared, even where a 95% interval leaves out 0")
     study.save(picture, "ablation")
 
 

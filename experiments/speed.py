@@ -23,13 +23,16 @@ RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, scr
 CROWDS = {(kind, count): Job(A2C, f"--num-envs {count} --vectorization {kind} --rollout-steps "
                              f"{512 // count} --total-steps 20480")
           for kind in KINDS for count in COUNTS}
+CLEANRL = {job.options: job._replace(change="CleanRL") for job in RACES.values()
+           if job.script == PPO}
 TOGETHER = "experiments/together.py"
 TORCHRUN = "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"
 PAIRS = {task: [Job(script, f"--env-id {task} --total-steps 40960 --num-envs {count} --num-evals 1 "
                     "--eval-episodes 1") for script, count in ((PPO, 16), (TOGETHER, 8))]
          for task in ("HalfCheetah-v5", "Humanoid-v5")}
 JOBS = [job._replace(seed=repetition) for repetition in range(1, 6)
-        for job in [*RACES.values(), *CROWDS.values(), *sum(PAIRS.values(), [])]]
+        for job in [*RACES.values(), *CLEANRL.values(), *CROWDS.values(),
+                    *sum(PAIRS.values(), [])]]
 
 
 def log_of(job):
@@ -46,18 +49,22 @@ def log_of(job):
 
 
 def measure(job):
-    speeds = {"ours": log_of(job).eval("env_step / seconds").iloc[-1]}
-    if job._replace(seed=1) in RACES.values():
-        module, args = study.load(job)
+    usual = job._replace(change="")
+    speeds = {"ours": log_of(usual).eval("env_step / seconds").iloc[-1]}
+    module, args = study.load(usual) if job.script != TOGETHER else (None, None)
+    if job.change == "CleanRL":
+        speeds["CleanRL"] = peers.cleanrl_speed(args)
+    elif job._replace(seed=1) in RACES.values():
         speeds["stepping alone"] = peers.stepping_speed(module, args)
         speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
-        if peers.CLEANRL and job.script == PPO:
-            speeds["CleanRL"] = peers.cleanrl_speed(args)
     return [{"learner": learner, "speed": speed} for learner, speed in speeds.items()]
 
 
 def draw(rows):
-    speeds = rows.groupby(["options", "learner", "seed"])["speed"].first().unstack("learner")
+    keys = ["options", "learner", "seed"]
+    speeds, beside_cleanrl = (
+        rows[(rows["change"] == "CleanRL") == beside].groupby(keys)["speed"].first()
+        .unstack("learner") for beside in (False, True))
     others = "stepping alone", "defaults", "our sizes", "CleanRL", "8 environments", "zoo"
     lines = []
     for task, job in RACES.items():
@@ -65,8 +72,11 @@ def draw(rows):
         line = {"task": task, "script": f"`{job.script}`",
                 "ours, steps a second": number(of_task["ours"].median())}
         for name in others:
-            if name in of_task:
-                ratio = of_task["ours"] / of_task[name]
+            measured = of_task
+            if name == "CleanRL" and job.options in beside_cleanrl.index:
+                measured = beside_cleanrl.loc[job.options]
+            if name in measured:
+                ratio = measured["ours"] / measured[name]
                 line[f"÷ {'sb3, ' * (name in PEERS)}{name}"] = (
                     f"{ratio.median():.2f} ({ratio.min():.2f} to {ratio.max():.2f})")
         lines.append(line)
@@ -86,4 +96,5 @@ def draw(rows):
 
 
 if __name__ == "__main__":
-    study.main(JOBS, draw, measure, workers=1)
+    study.main([job for job in JOBS if peers.CLEANRL or job.change != "CleanRL"], draw, measure,
+               workers=1)

@@ -153,8 +153,8 @@ def test_a_run_has_learned_if_it_ends_above_all_untrained_ones_and_above_the_lev
 
 def test_how_often_our_defaults_were_tried_on_the_tasks_of_the_race():
     trials = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
-    counted = trials["env_id"].isin(race.TASKS) & (trials["stage"] < 6)  # 6: other settings
-    text = (ROOT / "docs/results.md").read_text("utf-8")
+    counted = trials["env_id"].isin(race.TASKS[:3]) & (trials["stage"] < 6)  # 6: other settings
+    text = " ".join((ROOT / "docs/results.md").read_text("utf-8").split())
     assert f"in {sum(counted)} trainings" in text
 
 
@@ -236,25 +236,22 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
         peers.learn(job)
 
 
-CLOCK = {"steps": 1_000_000, "seconds": 100, "processor": "one"}
-
-
 def test_cleanrl_has_a_line_for_each_task(monkeypatch):
     """Ours, planted like theirs: in training 1,000 more than a seed, which is what they have."""
     monkeypatch.setattr(study, "save", lambda *_: None)
     measured = study.read("race")
     ours = [job for job in returns.CURVES if job.seed > 100]
-    planted = pd.DataFrame(ours).assign(**CLOCK, **{"return": 0.0})
+    planted = pd.DataFrame(ours).assign(steps=1_000_000, **{"return": 0.0})
     planted["sampled"] = 1000.0 + planted["seed"]
     read = study.read
     monkeypatch.setattr(study, "read", lambda name: planted if name == "returns" else read(name))
     jobs = [job for job in race.JOBS if job.change == "CleanRL"]
-    rows = pd.DataFrame(jobs).assign(**CLOCK, sampled=[job.seed for job in jobs])
+    rows = pd.DataFrame(jobs).assign(steps=1_000_000, sampled=[job.seed for job in jobs])
     table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], rows]))["cleanrl"]
     lines = [line for line in table.splitlines() if "CleanRL" in line]
-    assert len(lines) == 3
+    assert len(lines) == 4
     for line in lines:
-        assert "| 103 ± 2 " in line
+        assert "| 106 ± 3 " in line
         assert line.split("|")[-2].strip() == "**ours above** (p < 0.001)"
 
 
