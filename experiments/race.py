@@ -90,10 +90,13 @@ def draw_race(name, learners, rows):
         draw_task(*panels[i :: len(tasks)], learners, task, curves, speeds)
         lines += lines_of(task, curves)
     found = [[*line, end] for line, end in zip(lines, study.verdicts([x[-1] for x in lines]))]
-    significant = [f"{'above' if 'above' in line[-1] else 'below'} {line[1][:-4]} ({line[0][:-3]})"
-                   for line in found if "ours" in line[-1]]
-    title = f"Ours: significantly {', '.join(significant)}"
-    picture.suptitle(title if significant else "No significant difference", wrap=True)
+    leads = {}
+    for task, learner, *_, verdict in found:
+        if "ours" in verdict:
+            side = "above" if "above" in verdict else "below"
+            leads.setdefault(f"{task[:-3]}: ours {side}", []).append(learner.rsplit(" (")[0])
+    title = "; ".join(f"{side} {' and '.join(names)}" for side, names in leads.items())
+    picture.suptitle(f"{title or 'No difference'} (significant; the rest may be chance)", wrap=True)
     study.save(picture, f"ppo_{name}")
     return study.table(["task", "learner (seeds)", "mean ± std", "median",
                         "ours − theirs, 95%", "verdict"], found)
