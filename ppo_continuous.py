@@ -182,7 +182,7 @@ def rollout(envs, agent, obs, num_steps):
         steps.append((obs, actions, rewards, next_obs, terminated, done))
         obs = next_obs
         if done.any():
-            returns += infos["episode"]["r"][done].tolist()  # of RecordEpisodeStatistics
+            returns += infos["episode"]["r"][done].tolist()  # set by RecordEpisodeStatistics
             obs, _ = envs.reset(options={"reset_mask": done})
     columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
     return Transitions(*columns), obs, returns

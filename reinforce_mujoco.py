@@ -5,7 +5,7 @@
 # ///
 """REINFORCE: policy gradients from whole episodes, in one file.
 
-    python reinforce_mujoco.py --seed 1 2 3             # or: uv run reinforce_mujoco.py --seed 1
+    python reinforce_mujoco.py --seed 1 2 3               # or: uv run reinforce_mujoco.py --seed 1
     python reinforce_mujoco.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
@@ -227,8 +227,8 @@ def train(index, args, folder):
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
             obs, actions, rewards, last_values = zip(*episodes)
             # 2. Compute the rewards to go.
-            rewards_to_go = [compute_rewards_to_go(of_one, last_value, args.gamma)
-                             for of_one, last_value in zip(rewards, last_values)]
+            rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
+                             for r, last_value in zip(rewards, last_values)]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -238,7 +238,7 @@ def train(index, args, folder):
             env_step += sum(map(len, rewards))
             bar.update(min(env_step, args.total_steps) - bar.n)
             log.append({"env_step": env_step, "seconds": time.perf_counter() - start,
-                        "return": np.mean([sum(of_one) for of_one in rewards]), **metrics})
+                        "return": np.mean([sum(r) for r in rewards]), **metrics})
             # After the first update, then each time another 1/num_evals of the steps is done.
             if env_step * args.num_evals >= evals_done * args.total_steps:
                 evals_done += 1

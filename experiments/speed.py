@@ -51,12 +51,13 @@ def log_of(job):
 def measure(job):
     usual = job._replace(change="")
     speeds = {"ours": log_of(usual).eval("env_step / seconds").iloc[-1]}
-    module, args = study.load(usual) if job.script != TOGETHER else (None, None)
-    if job.change == "CleanRL":
-        speeds["CleanRL"] = peers.cleanrl_speed(args)
-    elif job._replace(seed=1) in RACES.values():
-        speeds["stepping alone"] = peers.stepping_speed(module, args)
-        speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
+    if usual._replace(seed=1) in RACES.values():
+        module, args = study.load(usual)
+        if job.change == "CleanRL":
+            speeds["CleanRL"] = peers.cleanrl_speed(args)
+        else:
+            speeds["stepping alone"] = peers.stepping_speed(module, args)
+            speeds |= {name: peers.speed(args, *peer) for name, peer in PEERS.items()}
     return [{"learner": learner, "speed": speed} for learner, speed in speeds.items()]
 
 
