@@ -8,7 +8,7 @@ import pandas as pd
 import peers
 import returns
 import study
-from study import Job, number
+from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
 RACES = {  # learner: the change of its rows, a column, colour, dashes
@@ -71,14 +71,24 @@ def draw_task(by_steps, by_minutes, learners, task, curves, speeds):
 
 
 def lines_of(task, curves):
-    """Of the table, from the last points of the curves; at the end of a line: what ours gain."""
-    for learner, curve in curves.items():
-        last = curve.loc[curve["steps"] == curve["steps"].max(), "return"]
-        if learner == "ours":
-            ours = last
-        broken = (task, learner) == BROKEN
-        yield [task, f"{learner}{', set aside' * broken} ({len(last)})", study.spread(last),
-               number(last.median()), "" if ours is last or broken else study.welch(ours, last)]
+    """Of the table, one for each peer, from the last points of the curves; at its end the gain."""
+    finals = {learner: curve.loc[curve["steps"] == curve["steps"].max(), "return"]
+              for learner, curve in curves.items()}
+    ours = finals.pop("ours")
+    for peer, theirs in finals.items():
+        broken = (task, peer) == BROKEN
+        yield [task[:-3], f"{peer}{', set aside' * broken} ({len(theirs)})", study.spread(theirs),
+               f"{study.spread(ours)} ({len(ours)})", "" if broken else study.welch(ours, theirs)]
+
+
+def title_of(lines, verdicts):
+    """On which task ours are significantly above whom, or below."""
+    leads = {}
+    for (task, peer, *_), verdict in zip(lines, verdicts):
+        if "ours" in verdict:
+            side = "above" if "above" in verdict else "below"
+            leads.setdefault(f"{task}: ours {side}", []).append(peer.rsplit(" (")[0])
+    return "; ".join(f"{side} {' and '.join(peers)}" for side, peers in leads.items())
 
 
 def draw_race(name, learners, rows):
@@ -89,17 +99,12 @@ def draw_race(name, learners, rows):
         curves, speeds = curves_of(learners, task, rows), speeds_of(name, task)
         draw_task(*panels[i :: len(tasks)], learners, task, curves, speeds)
         lines += lines_of(task, curves)
-    found = [[*line, end] for line, end in zip(lines, study.verdicts([x[-1] for x in lines]))]
-    leads = {}
-    for task, learner, *_, verdict in found:
-        if "ours" in verdict:
-            side = "above" if "above" in verdict else "below"
-            leads.setdefault(f"{task[:-3]}: ours {side}", []).append(learner.rsplit(" (")[0])
-    title = "; ".join(f"{side} {' and '.join(names)}" for side, names in leads.items())
-    picture.suptitle(f"{title or 'No difference'} (significant; the rest may be chance)", wrap=True)
+    verdicts = study.verdicts([gain for *_, gain in lines])
+    title = title_of(lines, verdicts) or "No difference"
+    picture.suptitle(f"{title} (significant; the rest may be chance)", wrap=True)
     study.save(picture, f"ppo_{name}")
-    return study.table(["task", "learner (seeds)", "mean ± std", "median",
-                        "ours − theirs, 95%", "verdict"], found)
+    return study.table(["task", "theirs (seeds)", "their return", "ours", "ours − theirs, 95%",
+                        "verdict"], [[*line, end] for line, end in zip(lines, verdicts)])
 
 
 def draw(rows):
