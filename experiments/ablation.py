@@ -1,5 +1,7 @@
 """What is each detail worth? One change at a time, eight seeds each. Three hours on two cores."""
 
+import compare
+import pages
 import pandas as pd
 import study
 from study import A2C, PPO, Job
@@ -40,20 +42,20 @@ def effects(rows, tables):
             if both.shape[1] > 1:
                 without, changed = both
                 gains = 100 * (changed - without) / without.mean()
-                effect = study.gain(gains)
+                effect = compare.gain(gains)
                 alike = sum(changed == without)
-                found.append([name, change, len(gains), *effect, study.spread(without),
-                              study.spread(changed),
+                found.append([name, change, len(gains), *effect, compare.spread(without),
+                              compare.spread(changed),
                               f"{effect}{f' ({alike} identical)' if alike else ''}"])
-    found = pd.DataFrame(found, columns=["table", "change", "seeds", *study.Difference._fields,
+    found = pd.DataFrame(found, columns=["table", "change", "seeds", *compare.Difference._fields,
                                          "without", "with", "gain, %"])
-    found["holds"] = study.holm(found["p"])
+    found["holds"] = compare.holm(found["p"])
     found["gain, %"] = found["gain, %"].mask(found["holds"], "**" + found["gain, %"] + "**")
     return found
 
 
 def draw_gains(details, order, tasks):
-    picture, panels = study.figure(13, 6.5, 1, 3, sharex=True, sharey=True)
+    picture, panels = pages.figure(13, 6.5, 1, 3, sharex=True, sharey=True)
     for axis, (task, title) in zip(panels, tasks.items()):
         effect = details[details["table"] == task].set_index("change").loc[order[::-1]]
         axis.errorbar(effect["gain"], effect.index, xerr=effect["margin"], fmt="o", mfc="white",
@@ -65,7 +67,7 @@ def draw_gains(details, order, tasks):
     picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
                      f"worse, in {better} better (filled dots)\nhollow: may be chance, as so many "
                      "are compared, even where a 95% interval leaves out 0")
-    study.save(picture, "ablation")
+    pages.save(picture, "ablation")
 
 
 def draw(rows):
@@ -79,11 +81,11 @@ def draw(rows):
     draw_gains(details, order, titles)
     lines = [["return as it is (± std)", *details.groupby("table")["without"].first()],
              *texts.reset_index().to_numpy()]
-    answers = found[~found["change"].isin(DETAILS)].assign(p=found["p"].map(study.p_text))
+    answers = found[~found["change"].isin(DETAILS)].assign(p=found["p"].map(compare.p_text))
     answers = answers[["table", "change", "without", "with", "gain, %", "p"]]
-    return {"ablation": study.table(
+    return {"ablation": pages.table(
                 ["gain, % (95%)", *(x.replace("\n", " ") for x in titles.values())], lines),
-            "answers": study.table(["", *answers.columns[1:]], answers.to_numpy())}
+            "answers": pages.table(["", *answers.columns[1:]], answers.to_numpy())}
 
 
 if __name__ == "__main__":

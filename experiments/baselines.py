@@ -3,12 +3,15 @@
 The noise is the variance of the gradient, for the agent of a short run. Some ten minutes.
 """
 
+import compare
 import numpy as np
+import pages
 import pandas as pd
 import seaborn as sns
 import study
 import torch
-from study import REINFORCE, Job, number
+from compare import number
+from study import REINFORCE, Job
 
 BASELINES, STEPS, EARLY = ("none", "mean", "value"), range(0, 100_001, 5000), 30_000
 NOISE = "--total-steps 10000"  # the run for whose policy noise is measured
@@ -57,14 +60,14 @@ def draw(rows):
         curves[name] = pd.DataFrame(  # batches of different seeds end at different steps
             {seed: np.interp(STEPS, run["steps"], run["return"]) for seed, run in runs}, STEPS)
         early[name], whole[name] = curves[name].loc[EARLY], runs["return"].mean()
-        tests += [study.welch(returns[name], returns["none"]).p for returns in (early, whole)]
-        lines.append([f"`{name}`", study.spread(variance[name], 2),
-                      study.spread(early[name]), study.spread(whole[name]),
-                      study.proportion(runs["return"].last() >= 950),
+        tests += [compare.welch(returns[name], returns["none"]).p for returns in (early, whole)]
+        lines.append([f"`{name}`", compare.spread(variance[name], 2),
+                      compare.spread(early[name]), compare.spread(whole[name]),
+                      compare.proportion(runs["return"].last() >= 950),
                       number(runs["sampled"].last().mean())])
-    for i, p in enumerate(study.marked(tests[2:])):  # those of "none" compare it with itself
+    for i, p in enumerate(compare.marked(tests[2:])):  # those of "none" compare it with itself
         lines[1 + i // 2][2 + i % 2] += f", p {p}"
-    picture, (left, middle, right) = study.figure(13, 5, 1, 3)
+    picture, (left, middle, right) = pages.figure(13, 5, 1, 3)
     for axis, dots, title in ((left, variance, "variance of the gradient,\nrelative to none"),
                               (right, whole, "mean return\nover a run")):
         sns.pointplot(dots, errorbar=None, linestyle="none", marker="_", markersize=40, ax=axis)
@@ -76,10 +79,10 @@ def draw(rows):
                      ls=dashes, lw=3, label=name, ax=middle)
     middle.set(title="return, mean of ten seeds\n(band: 95%, bootstrap)",
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
-    study.name_ends(middle)
+    pages.name_ends(middle)
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
-    study.save(picture, "baselines")
-    return {"baselines": study.table(
+    pages.save(picture, "baselines")
+    return {"baselines": pages.table(
         ["`--baseline`", "variance of the gradient, none = 1", f"return after {EARLY:,} steps",
          "mean return over a run", "solved (95%)", "in training"], lines)}
 

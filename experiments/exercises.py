@@ -2,9 +2,12 @@
 
 import itertools
 
+import compare
+import pages
 import study
 from ablation import with_change
-from study import A2C, PPO, Job, number
+from compare import number
+from study import A2C, PPO, Job
 
 LANDER, CHEETAH = Job(A2C), Job(PPO, "--env-id HalfCheetah-v5 --total-steps 3e5")
 POLE = Job(A2C, "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99")
@@ -37,7 +40,7 @@ def draw(rows):
     for exercise, (name, job, change) in RUN.items():
         usual, changed = rows.loc[job[:3]], rows.loc[with_change(job, change)[:3]]
         returns = changed["last eval_return"], usual["last eval_return"]
-        gain = study.welch(*returns)
+        gain = compare.welch(*returns)
         verdict = "none that five seeds show"
         if gain.p < 0.01:
             verdict = f"an effect, for the {'better' if gain.gain > 0 else 'worse'}"
@@ -46,16 +49,17 @@ def draw(rows):
             means = (runs[f"median {column}"].mean() for runs in (usual, changed))
             medians.append(" → ".join(number(x, DIGITS[column]) for x in means))
         medians += [""] * (2 - len(medians))
-        run.append([exercise, name, *study.compared(*returns), verdict, *medians])
+        run.append([exercise, name, compare.spread(returns[1]), compare.spread(returns[0]),
+                    str(gain), compare.p_text(gain.p), verdict, *medians])
     for (column, digits), statistic in itertools.product(DIGITS.items(), WORDS):
         cells = [rows.loc[(PPO, SHORT, change), f"{statistic} {column}"].round(digits)
                  for change in FIND.values()]
         find.append([f"{statistic} `{column}`", *(
             ", ".join(number(x, digits) if x else "0" for x in values) for values in cells)])
     return {
-        "run": study.table(["", "change", "without (± std)", "with (± std)", "difference, 95%",
+        "run": pages.table(["", "change", "without (± std)", "with (± std)", "difference, 95%",
                             "p", "verdict", "median `explained_variance`", "median `kl`"], run),
-        "find": study.table(["seeds 1, 2", *FIND], find)}
+        "find": pages.table(["seeds 1, 2", *FIND], find)}
 
 
 if __name__ == "__main__":

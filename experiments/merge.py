@@ -12,8 +12,9 @@ import itertools
 import sys
 from pathlib import Path
 
+import compare
+import pages
 import pandas as pd
-import study
 import torch
 
 
@@ -44,13 +45,13 @@ def main(folders):
     finals = finals.groupby("setting", sort=False)  # in the order of the folders
     print(finals.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
     for (one, x), (other, y) in itertools.combinations(finals, 2):
-        gain, margin, p = study.welch(y, x)
+        gain, margin, p = compare.welch(y, x)
         print(f"{other} − {one}: {gain:.4g} ± {margin:.4g} (95%), p = {p:.3g}")
-    picture, (axis,) = study.figure(11, 7)
+    picture, (axis,) = pages.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
     for color, (setting, rows) in enumerate(logs.groupby("setting", sort=False)):
-        study.curves(rows, "env_step", axis, y="eval_return", label=setting, color=f"C{color}")
+        pages.curves(rows, "env_step", axis, y="eval_return", label=setting, color=f"C{color}")
     path = Path(folders[0]).parent / "merged.png"
     picture.savefig(path)
     print(path)

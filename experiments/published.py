@@ -6,11 +6,13 @@ ours are those of `returns`. earlier_trials.csv and trials.csv are what the defa
 
 import itertools
 
+import compare
+import pages
 import pandas as pd
 import returns
 import study
+from compare import number
 from scipy import stats
-from study import number
 
 EARLIER = ((4, "minibatches of 64, learning rate 3e-4"),  # stages, changes
            (5, "one environment, rollouts of 2048 steps"),
@@ -18,7 +20,7 @@ EARLIER = ((4, "minibatches of 64, learning rate 3e-4"),  # stages, changes
 TRIAL_TASKS = "HalfCheetah", "Hopper", "Walker2d", "Ant", "Humanoid"
 
 
-def compare(other, finals):
+def beside_ours(other, finals):
     """Cells of a table, and p; ours are measured as theirs were."""
     runs = finals[finals["options"] == returns.TASKS[other["task"]]]
     ours, digits = runs["sampled" if other["sampled"] else "return"], int(abs(other["mean"]) < 100)
@@ -26,7 +28,7 @@ def compare(other, finals):
     p = stats.ttest_ind_from_stats(ours.mean(), ours.std(), len(ours), other["mean"], other["std"],
                                    other["seeds"], equal_var=False).pvalue
     return [other["task"], f"{theirs.removesuffix(' ± nan')} {other['source']}", other["handicap"],
-            study.spread(ours, digits), "training" if other["sampled"] else "evaluation"], p
+            compare.spread(ours, digits), "training" if other["sampled"] else "evaluation"], p
 
 
 def earlier_lines():
@@ -38,8 +40,8 @@ def earlier_lines():
         pairs = of_stage.set_index(keys)["return_at_100"].unstack().dropna()
         for task, gains in (pairs[change] - pairs[""]).groupby("env_id"):
             several = len(gains) > 2
-            yield [change, task, len(gains), str(study.gain(gains))
-                   if several else ", ".join(map(study.number, gains))]
+            yield [change, task, len(gains), str(compare.gain(gains))
+                   if several else ", ".join(map(compare.number, gains))]
 
 
 def trial_lines():
@@ -64,16 +66,16 @@ def trial_lines():
 
 def draw(published):
     finals = study.final_rows(study.read("returns"))
-    tables = {"earlier": study.table(["change", "task", "pairs", "gain"], earlier_lines()),
-              "trials": study.table(["candidate", "÷", *TRIAL_TASKS, "geometric mean", "lost",
+    tables = {"earlier": pages.table(["change", "task", "pairs", "gain"], earlier_lines()),
+              "trials": pages.table(["candidate", "÷", *TRIAL_TASKS, "geometric mean", "lost",
                                      "÷: lost"], trial_lines())}
     for same_version, others in published.groupby("same_version"):
-        lines, p_values = zip(*(compare(other, finals) for _, other in others.iterrows()))
-        tables["published" if same_version else "older versions"] = study.table(
+        lines, p_values = zip(*(beside_ours(other, finals) for _, other in others.iterrows()))
+        tables["published" if same_version else "older versions"] = pages.table(
             ["task", "published", "what to know", "ours", "in", "p"],
-            [[*line, p] for line, p in zip(lines, study.marked(p_values))])
+            [[*line, p] for line, p in zip(lines, compare.marked(p_values))])
     return tables
 
 
 if __name__ == "__main__":
-    study.write_tables(draw(study.read("published")))
+    pages.write_tables(draw(study.read("published")))

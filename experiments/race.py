@@ -4,6 +4,8 @@ Ours are the runs of `returns`. CleanRL logs its returns in training, so these a
 measured if CLEANRL is the path of its file. Five hours on two cores.
 """
 
+import compare
+import pages
 import pandas as pd
 import peers
 import returns
@@ -19,8 +21,10 @@ RACES = {  # learner: the change of its rows, a column, colour, dashes
     "cleanrl": {"ours": ("ours", "sampled", "C0", "-"),
                 "CleanRL": ("CleanRL", "sampled", "C3", "--")}}
 BROKEN = "Hopper-v5", "sb3, zoo"  # all seeds stop near 1,000: not what the zoo publishes
-JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in TASKS[:3]
-          for setting in ("defaults", "zoo", "our sizes") for seed in range(1, 6)),
+BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
+JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
+          for setting in ("defaults", "zoo", "our sizes")
+          for seed in range(1, 11 if setting == BEST[task] else 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
           for seed in range(101, 111) for task in TASKS)]
 
@@ -57,14 +61,14 @@ def draw_task(by_steps, by_minutes, learners, task, curves, speeds):
         change, _, color, dashes = learners[learner]
         broken = (task, learner) == BROKEN
         style = {"color": "grey" if broken else color, "ls": dashes, "lw": 3}
-        study.curves(curve, "steps", by_steps, color=style["color"], title=task,
+        pages.curves(curve, "steps", by_steps, color=style["color"], title=task,
                      label=learner + ",\nset aside" * broken,
                      xlabel="million steps", xticks=[0, 0.5, 1])
         by_steps.lines[-1].set(**style)
         mean = curve.groupby("steps")["return"].mean()
         speed = speeds.get(change, float("nan"))
         by_minutes.plot(1e6 * mean.index / speed / 60, mean, **style)
-    study.name_ends(by_steps)
+    pages.name_ends(by_steps)
     by_minutes.set(xscale="log", xlabel="minutes (log scale)", ylabel="return")
     by_minutes.xaxis.set_major_formatter("{x:g}")
     by_minutes.minorticks_off()
@@ -77,8 +81,9 @@ def lines_of(task, curves):
     ours = finals.pop("ours")
     for peer, theirs in finals.items():
         broken = (task, peer) == BROKEN
-        yield [task[:-3], f"{peer}{', set aside' * broken} ({len(theirs)})", study.spread(theirs),
-               f"{study.spread(ours)} ({len(ours)})", "" if broken else study.welch(ours, theirs)]
+        yield [task[:-3], f"{peer}{', set aside' * broken} ({len(theirs)})",
+               compare.spread(theirs), f"{compare.spread(ours)} ({len(ours)})",
+               "" if broken else compare.welch(ours, theirs)]
 
 
 def title_of(lines, verdicts):
@@ -94,16 +99,16 @@ def title_of(lines, verdicts):
 def draw_race(name, learners, rows):
     """Returns its table."""
     tasks, lines = raced(learners, rows), []
-    picture, panels = study.figure(13, 9, 2, len(tasks), sharey="col")
+    picture, panels = pages.figure(13, 9, 2, len(tasks), sharey="col")
     for i, task in enumerate(tasks):
         curves, speeds = curves_of(learners, task, rows), speeds_of(name, task)
         draw_task(*panels[i :: len(tasks)], learners, task, curves, speeds)
         lines += lines_of(task, curves)
-    verdicts = study.verdicts([gain for *_, gain in lines])
+    verdicts = compare.verdicts([gain for *_, gain in lines])
     title = title_of(lines, verdicts) or "No difference"
     picture.suptitle(f"{title} (significant; the rest may be chance)", wrap=True)
-    study.save(picture, f"ppo_{name}")
-    return study.table(["task", "theirs (seeds)", "their return", "ours", "ours − theirs, 95%",
+    pages.save(picture, f"ppo_{name}")
+    return pages.table(["task", "theirs (seeds)", "their return", "ours", "ours − theirs, 95%",
                         "verdict"], [[*line, end] for line, end in zip(lines, verdicts)])
 
 

@@ -2,10 +2,11 @@
 
 import importlib
 
+import pages
 import study
 
-STUDIES = ("returns", "published", "settings", "race", "speed", "processes", "baselines",
-           "robustness", "ablation", "exercises")
+STUDIES = ("returns", "last_std", "published", "settings", "race", "speed", "processes",
+           "baselines", "robustness", "ablation", "exercises")
 
 
 def commits():
@@ -20,11 +21,11 @@ def commits():
 
 def tables():
     """{name: table} of all studies; their figures are drawn."""
-    found = {"commits": study.table(["rows", "script", "commits"], commits())}
+    found = {"commits": pages.table(["rows", "script", "commits"], commits())}
     for name in STUDIES:
         found |= importlib.import_module(name).draw(study.read(name))
     return found
 
 
 if __name__ == "__main__":
-    study.write_tables(tables())
+    pages.write_tables(tables())

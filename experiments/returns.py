@@ -1,9 +1,12 @@
 """How high do the returns get, and how often does a run fail? Four hours on two cores."""
 
+import compare
 import gymnasium as gym
 import numpy as np
+import pages
 import study
-from study import A2C, PPO, REINFORCE, Job, number
+from compare import number
+from study import A2C, PPO, REINFORCE, Job
 
 PENDULUM = "InvertedDoublePendulum-v5"
 TASKS = {f"{task}-v5": f"--env-id {task}-v5 --total-steps 1e6" for task in (
@@ -11,22 +14,27 @@ TASKS = {f"{task}-v5": f"--env-id {task}-v5 --total-steps 1e6" for task in (
     "Pusher", "Reacher", "Swimmer", "Walker2d")}
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", "Swimmer-v5"
 LEARNED = {"Ant-v5": 1000, "Hopper-v5": 1000, "Walker2d-v5": 1000, "Humanoid-v5": 2000}
-ALL_STAND = 9300  # the least mean of ten double pendulums of which none falls
 HUNDRED = "--num-evals 1 --eval-episodes 100"
 SEEDS = {REINFORCE: range(101, 121), A2C: range(71, 101), PPO: range(101, 111)}
-BEFORE = {task: f"{TASKS[task]} --last-std 0.1" for task in (*PANELS[:-1], PENDULUM)}  # then
 OLDER = "Pusher-v5"  # seeds 71 to 80, σ to 0.1
-CURVES = [*(Job(PPO, options, seed=seed - 30 * (task == OLDER))
-            for seed in SEEDS[PPO] for task, options in TASKS.items()),
-          *(Job(PPO, BEFORE[PENDULUM], seed=seed) for seed in range(71, 81))]
+CURVES = [Job(PPO, options, seed=seed - 30 * (task == OLDER))
+          for seed in SEEDS[PPO] for task, options in TASKS.items()]
 JOBS = [*(Job(script, seed=seed) for seed in range(1, 6) for script in SEEDS),
-        *(Job(script, HUNDRED, seed=seed) for script in SEEDS for seed in SEEDS[script]), *CURVES,
-        *(Job(PPO, BEFORE[task], seed=seed) for seed in range(71, 81) for task in PANELS[:-1])]
+        *(Job(script, HUNDRED, seed=seed) for script in SEEDS for seed in SEEDS[script]), *CURVES]
 
 
 def measure(job):
     """All evaluations of what the figures show, else the last."""
     return study.train(job)[0] if job in CURVES else study.last_evaluation(job)
+
+
+def at_threshold(task, rows):
+    """How many of how many reach Gymnasium's threshold, if the task has one."""
+    goal = gym.spec(task).reward_threshold
+    if goal is None:
+        return "no threshold"
+    returned = study.final_rows(rows)["return"]
+    return f"{sum(returned >= goal)} of {len(returned)} ≥ {goal:,g}".replace("-", "−")
 
 
 def level(task, rows):
@@ -41,12 +49,12 @@ def learned(task, rows):
 
 
 def draw_tasks(of_task):
-    picture, panels = study.figure(11, 8.5, 2, 3)
+    picture, panels = pages.figure(11, 8.5, 2, 3)
     for axis, task, first in zip(panels, PANELS, 2 * (True, False, False)):
         runs = of_task[task].assign(millions=of_task[task]["steps"] / 1e6)
-        study.curves(runs, "millions", axis, label="evaluation: each seed, their mean",
+        pages.curves(runs, "millions", axis, label="evaluation: each seed, their mean",
                      xlabel="million steps" * (axis is panels[4]), ylabel="return" * first,
-                     title=f"{task[:-3]}\n{study.at_threshold(task, runs)}")
+                     title=f"{task[:-3]}\n{at_threshold(task, runs)}")
         axis.plot(runs.groupby("millions")["sampled"].mean(), "C1-.", lw=3, label="training: mean")
         axis.axhline(level(task, runs), color="black", ls="--", lw=1.5, label="learned: above this")
         goal = gym.spec(task).reward_threshold
@@ -57,59 +65,36 @@ def draw_tasks(of_task):
     passed = np.concatenate([learned(task, of_task[task]) for task in PANELS[:-1]])
     picture.suptitle(f"With one set of options {sum(passed)} of {len(passed)} runs learn, and "
                      "Swimmer's hardly")
-    study.save(picture, "ppo_returns")
+    pages.save(picture, "ppo_returns")
 
 
 def task_line(task, rows):
     finals, passed = study.final_rows(rows), learned(task, rows)
     returned, digits = finals["return"], int(abs(finals["return"].mean()) < 100)
-    return [task, study.spread(returned, digits), study.median(returned, digits),
-            f"{sum(passed)} of {len(passed)}", study.at_threshold(task, rows),
+    return [task, compare.spread(returned, digits), compare.median(returned, digits),
+            f"{sum(passed)} of {len(passed)}", at_threshold(task, rows),
             number(finals.groupby("processor")["seconds"].median().min() / 60, 1)]
 
 
 def script_line(script, runs, typed):
     _, args = study.load(Job(script))
     threshold = gym.spec(args.env_id).reward_threshold
-    return [f"`{script}`", args.env_id, study.spread(runs["return"]), number(runs["return"].min()),
-            f"≥ {threshold:,g}: {study.proportion(runs['return'] >= threshold)}",
+    returned = runs["return"]
+    return [f"`{script}`", args.env_id, compare.spread(returned), number(returned.min()),
+            f"≥ {threshold:,g}: {compare.proportion(returned >= threshold)}",
             f"{args.total_steps:,}, {number(typed['seconds'].median())} s"]
-
-
-def before_and_after(rows):
-    """Of a table: the last returns with --last-std 0.1, with 0.2, and their difference."""
-    finals = study.final_rows(rows).set_index("options")["return"]
-    pairs = [(finals[TASKS[task]], finals[BEFORE[task]]) for task in BEFORE]
-    p_values = study.marked([study.welch(*pair).p for pair in pairs])
-    return [[task, *study.compared(*pair)[:3], p] for task, pair, p in zip(BEFORE, pairs, p_values)]
-
-
-def falls(rows):
-    """By part of a run: evaluations in which a double pendulum fell, and of how many seeds."""
-    for first, last in (0.1, 0.4), (0.4, 0.7), (0.7, 1.0):
-        part = rows[rows["steps"].div(1e6).round(2).between(first, last, inclusive="right")]
-        line = [f"{first} to {last}"]
-        for options in BEFORE[PENDULUM], TASKS[PENDULUM]:
-            runs = part[part["options"] == options]
-            fell = runs[runs["return"] < ALL_STAND]
-            line.append(f"{len(fell)} of {len(runs)}, {fell['seed'].nunique()} seeds")
-        yield line
 
 
 def draw(rows):
     hundred, typed = (rows[rows["options"] == x].groupby("script") for x in (HUNDRED, ""))
     of_task = {task: rows[rows["options"] == options] for task, options in TASKS.items()}
     draw_tasks(of_task)
-    return {"three scripts": study.table(
+    return {"three scripts": pages.table(
         ["file", "task", "mean ± std", "lowest", "solved (95% interval)", "steps, median time"],
         [script_line(x, hundred.get_group(x), typed.get_group(x)) for x in SEEDS]),
-        "ten tasks": study.table(
+        "ten tasks": pages.table(
             ["task", "mean ± std", "median (95%)", "learned", "at threshold", "median minutes"],
-            [task_line(task, runs) for task, runs in of_task.items()]),
-        "before and after": study.table(
-            ["task", "`--last-std 0.1`", "0.2", "difference, 95%", "p"], before_and_after(rows)),
-        "falls": study.table(["million steps", "a fall, with `--last-std 0.1`", "with 0.2"],
-                             falls(rows))}
+            [task_line(task, runs) for task, runs in of_task.items()])}
 
 
 if __name__ == "__main__":

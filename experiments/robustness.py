@@ -6,6 +6,8 @@ episodes on the usual moon and on random moons. An hour on two cores.
 
 import itertools
 
+import compare
+import pages
 import study
 from study import A2C, Job
 
@@ -46,13 +48,13 @@ def draw(rows):
     for world, query in WORLDS.items():
         agents = rows.query(query).groupby(["options", "seed"])["return"].mean()
         usual, randomized = (agents[kind] for kind in KINDS)
-        gain = study.gain(randomized - usual)  # of pairs of a seed
+        gain = compare.gain(randomized - usual)  # of pairs of a seed
         p_values.append(gain.p)
-        lines.append([world, study.spread(usual), study.spread(randomized), str(gain),
+        lines.append([world, compare.spread(usual), compare.spread(randomized), str(gain),
                       f"{sum(randomized < usual)} of {len(usual)}"])
-    return {"robustness": study.table(
+    return {"robustness": pages.table(
         ["moons", "trained as usual", "with --randomize", "difference, 95%", "lower", "p"],
-        [[*line, p] for line, p in zip(lines, study.marked(p_values))])}
+        [[*line, p] for line, p in zip(lines, compare.marked(p_values))])}
 
 
 if __name__ == "__main__":

@@ -3,8 +3,10 @@
 HeldAcrobot is the guide's: save its my_module.py beside this file. Three hours on two cores.
 """
 
+import pages
 import study
-from study import A2C, PPO, Job, number
+from compare import number
+from study import A2C, PPO, Job
 
 SETTINGS = {  # options for other tasks: the script, the first of five seeds (0.1 was the default)
     "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512 "
@@ -27,7 +29,7 @@ def draw(rows):
         lines.append([f"`python {SETTINGS[options][0]} {options}`",
                       ", ".join(map(number, runs["return"])),
                       number(runs["return"].mean()), number(runs["seconds"].median() / 60, 1)])
-    return {"settings": study.table(["command", "five seeds", "mean", "minutes"], lines)}
+    return {"settings": pages.table(["command", "five seeds", "mean", "minutes"], lines)}
 
 
 if __name__ == "__main__":

@@ -8,8 +8,10 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
+import compare
 import merge
 import numpy as np
+import pages
 import pandas as pd
 import peers
 import published
@@ -118,22 +120,22 @@ def test_rows_are_of_what_is_committed_and_older_ones_are_named(tmp_path, monkey
 def test_a_difference_is_welchs():
     """x: mean 2, variance 1, n 3; y: 5, 20/3, 4. So the standard error is √(1/3 + 5/3) = √2."""
     freedom = 2**2 / ((1 / 3) ** 2 / 2 + (5 / 3) ** 2 / 3)
-    gain, margin, p = study.welch([1, 2, 3], [2, 4, 6, 8])
+    gain, margin, p = compare.welch([1, 2, 3], [2, 4, 6, 8])
     assert gain == pytest.approx(-3)
     assert margin == pytest.approx(stats.t.ppf(0.975, freedom) * 2**0.5)
     assert p == pytest.approx(2 * stats.t.cdf(-3 / 2**0.5, freedom))
-    assert study.spread([2, 4, 6, 8], 2) == "5.00 ± 2.58"
+    assert compare.spread([2, 4, 6, 8], 2) == "5.00 ± 2.58"
 
 
 def test_holms_correction():
     """In order: 0.005 < 0.05/4, 0.01 < 0.05/3, but 0.03 > 0.05/2, so 0.04 < 0.05/1 is too late."""
-    assert study.marked([0.01, 0.04, np.nan, 0.03, 0.005]) == [
+    assert compare.marked([0.01, 0.04, np.nan, 0.03, 0.005]) == [
         "**0.01**", "0.04", "", "0.03", "**0.005**"]
 
 
 def test_a_verdict_is_who_leads_after_holms_correction():
-    gains = [study.Difference(gain, 1, p) for gain, p in ((5, 0.01), (-5, 1e-4), (5, 0.04))]
-    assert study.verdicts(["", *gains[:2], "", gains[2], study.Difference(5, 1, 0.06)]) == [
+    gains = [compare.Difference(gain, 1, p) for gain, p in ((5, 0.01), (-5, 1e-4), (5, 0.04))]
+    assert compare.verdicts(["", *gains[:2], "", gains[2], compare.Difference(5, 1, 0.06)]) == [
         "", "**ours above** (p 0.01)", "**ours below** (p < 0.001)", "", "cannot tell (p 0.04)",
         "cannot tell (p 0.06)"]
 
@@ -141,8 +143,8 @@ def test_a_verdict_is_who_leads_after_holms_correction():
 def test_at_a_threshold_is_a_run_whose_last_return_reaches_it():
     keys = {"script": "x", "options": "", "change": "", "seed": [1, 1, 2, 2]}
     rows = pd.DataFrame(keys | {"return": [9000, 4800, 4800, 4799]})
-    assert study.at_threshold("HalfCheetah-v5", rows) == "1 of 2 ≥ 4,800"
-    assert study.at_threshold("Humanoid-v5", rows) == "no threshold"
+    assert returns.at_threshold("HalfCheetah-v5", rows) == "1 of 2 ≥ 4,800"
+    assert returns.at_threshold("Humanoid-v5", rows) == "no threshold"
 
 
 def test_a_run_has_learned_if_it_ends_above_all_untrained_ones_and_above_the_level():
@@ -168,19 +170,19 @@ def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
 
 def test_the_interval_of_a_median_is_of_the_median():
     """Of three values the median of a sample is either extreme in 7 of 27 cases."""
-    assert study.median([1, 2, 9]) == "2 (1 to 9)"
+    assert compare.median([1, 2, 9]) == "2 (1 to 9)"
 
 
 @pytest.fixture(scope="module")
 def tables():
     """Of the data; no figure is written."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study, "save", lambda *_: None)
+        patch.setattr(pages, "save", lambda *_: None)
         return report.tables()
 
 
 def test_all_tables_of_the_pages_are_those_of_the_data(tables):
-    text = "".join(page.read_text("utf-8") for page in study.pages())
+    text = "".join(page.read_text("utf-8") for page in pages.files())
     shown = re.findall(r"<!-- (.+) -->\n\n((?:\|.*\n)+)", text)
     assert {name for name, _ in shown} == set(tables)
     for name, table in shown:
@@ -238,7 +240,7 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
 
 def test_cleanrl_has_a_line_for_each_task(monkeypatch):
     """Ours, planted like theirs: in training 1,000 more than a seed, which is what they have."""
-    monkeypatch.setattr(study, "save", lambda *_: None)
+    monkeypatch.setattr(pages, "save", lambda *_: None)
     measured = study.read("race")
     ours = [job for job in returns.CURVES if job.seed > 100]
     planted = pd.DataFrame(ours).assign(steps=1_000_000, **{"return": 0.0})

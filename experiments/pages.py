@@ -1,0 +1,61 @@
+"""Tables and figures in the pages: a table replaces the one that stands below `<!-- NAME -->`."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.figure import Figure
+from scipy import optimize
+from variants import ROOT
+
+
+def table(header, lines):
+    """Markdown."""
+    frame = pd.DataFrame([list(line) for line in lines], columns=[str(name) for name in header])
+    return frame.to_markdown(index=False, disable_numparse=True) + "\n"
+
+
+def files():
+    return [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/data/*.md")]
+
+
+def write_tables(tables):
+    """Into the pages."""
+    for page in files():
+        parts = re.split(r"(?<=<!-- )(.+)( -->\n\n)((?:\|.*\n)+)", page.read_text("utf-8"))
+        for i in range(1, len(parts), 4):
+            parts[i + 2] = tables.get(parts[i], parts[i + 2])
+        page.write_text("".join(parts), encoding="utf-8")
+
+
+def figure(width, height, rows=1, columns=1, **options):
+    """A picture and its panels."""
+    sns.set_theme("talk", "whitegrid", "colorblind", font_scale=0.85)
+    picture = Figure(figsize=(width, height), layout="constrained")
+    return picture, picture.subplots(rows, columns, squeeze=False, **options).ravel()
+
+
+def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
+    """Every seed, and the mean in bold."""
+    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, lw=1, color=color,
+                 ax=axis)
+    sns.lineplot(rows, x=x, y=y, errorbar=None, linewidth=3, label=label, color=color, ax=axis)
+    axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
+
+
+def name_ends(axis, gap=0.07):
+    """In place of a legend: each line's label beside its end, none over another."""
+    named = [line for line in axis.lines if not line.get_label().startswith("_")]
+    named.sort(key=lambda line: line.get_ydata()[-1])
+    shifts = gap * np.ptp(axis.get_ylim()) * np.arange(len(named))
+    ends = [line.get_ydata()[-1] for line in named]  # moved as little as the gaps allow:
+    for line, place in zip(named, optimize.isotonic_regression(ends - shifts).x + shifts):
+        axis.annotate(line.get_label(), (line.get_xdata()[-1], place), (6, 0), va="center",
+                      textcoords="offset points", size="small", color=line.get_color(),
+                      annotation_clip=False)
+    axis.get_legend().remove()
+
+
+def save(picture, name):
+    picture.savefig(ROOT / f"docs/{name}.png", dpi=120)
