@@ -76,9 +76,7 @@ def marked(p_values):
 
 
 def verdicts(gains):
-    """Of each difference, empty where there is none; who leads after Holm's correction is bold."""
-    holds, texts = iter(holm([gain.p for gain in gains if gain])), []
-    for gain in gains:
-        side = f"**ours {'above' if gain.gain > 0 else 'below'}**" if gain and next(holds) else ""
-        texts.append(f"{side or 'cannot tell'} (p {p_text(gain.p)})" if gain else "")
-    return texts
+    """Of each difference; who leads after Holm's correction is bold."""
+    for gain, holds in zip(gains, holm([gain.p for gain in gains])):
+        side = f"**ours {'above' if gain.gain > 0 else 'below'}**" if holds else "cannot tell"
+        yield f"{side} (p {p_text(gain.p)})"
