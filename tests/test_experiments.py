@@ -184,7 +184,8 @@ def tables():
 def test_all_tables_of_the_pages_are_those_of_the_data(tables):
     text = "".join(page.read_text("utf-8") for page in pages.files())
     shown = re.findall(r"<!-- (.+) -->\n\n((?:\|.*\n)+)", text)
-    assert {name for name, _ in shown} == set(tables)
+    answers = {"run", "find"} if (ROOT / "docs/answers.md").read_text("utf-8") else set()
+    assert {name for name, _ in shown} == set(tables) - {"run", "find"} | answers
     for name, table in shown:
         assert table == tables[name], name
 
