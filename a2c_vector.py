@@ -38,7 +38,7 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
-uses T·N steps, so with as many steps in all, a larger N means fewer updates.
+uses T·N steps, so with the same total, a larger N means fewer updates.
 
 Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
@@ -113,7 +113,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is mere rounding: never divide by almost 0."""
+        """The standard deviation, or 1 where it is mere rounding: never divide by that."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -212,7 +212,7 @@ def policy_loss(log_probs, advantages):
     Given all that came before a_t, the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0.
     It stays 0 when multiplied by what is fixed by then, like earlier rewards or V(s_t). So we leave
     out the former and subtract the latter: the same mean, with less noise. (If all returns are near
-    200, every action is pushed up without V; with it only the better ones are.)
+    200, without V every action is pushed up, with V only the better ones.)
 
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
@@ -301,12 +301,11 @@ class RandomPhysics(gym.Wrapper):
     Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
     It may pay where the real world is farther from the simulator.
 
-    For another environment write such a wrapper, and put it and the environment's name into
-    `make_envs`, in place of RandomPhysics and LunarLander. Draw from ranges as wide as your doubts
-    (this moon allows a gravity between −12 and 0, and recommends these winds), and set the numbers
-    before the environment's own reset, which builds the world from them. They are checked only in
-    `__init__`, so yours go unchecked; and what was derived from them there must be derived again.
-    For CartPole, in place of the five lines about the moon in `reset`:
+    For another environment, put its name in place of LunarLander in `make_envs`, and its physics in
+    place of the moon's five lines in `reset`: before the environment's own reset, which may build
+    the world from them. Draw from ranges as wide as your doubts (this moon allows a gravity between
+    −12 and 0, and recommends these winds). Only the environment's `__init__` checks such numbers
+    and derives others from them: check your ranges, and derive the others again. For CartPole:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
@@ -330,7 +329,7 @@ class RandomPhysics(gym.Wrapper):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
+    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -353,7 +352,7 @@ def train(index, args, folder):
             check_finite(f"a reward of {args.env_id}", batch.rewards.float())
             # 3. Scale the rewards.
             rewards = batch.rewards.float() * args.reward_scale
-            # 4. Estimate advantages and targets, which are constants in 5: only V moves.
+            # 4. Estimate advantages and targets, which are constants in 5.
             with torch.no_grad():
                 # Not obs[1:], as the next row may be another episode's.
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
@@ -453,7 +452,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. If it is a property, that is not the copy.
+                # Some environments draw from it. Read again: a property returns no copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is mere rounding: never divide by almost 0."""
+        """The standard deviation, or 1 where it is mere rounding: never divide by that."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -284,7 +284,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
+    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -430,7 +430,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. If it is a property, that is not the copy.
+                # Some environments draw from it. Read again: a property returns no copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

@@ -208,7 +208,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM: like Ctrl-C, it lets them close environments.
+    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     make_repeatable(seed)
@@ -324,7 +324,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. If it is a property, that is not the copy.
+                # Some environments draw from it. Read again: a property returns no copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
