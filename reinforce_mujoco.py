@@ -366,7 +366,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
-    return returns.mean().item()
+    return check_finite(f"a return of {envs.spec.id}", returns).mean().item()
 
 
 def save(path, log, agent, options):
