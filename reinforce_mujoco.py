@@ -252,8 +252,7 @@ def train(index, args, folder):
 
 def parse_args(argv=None, known=None):
     """The options in `argv` (None: the command line); values in `known` replace the defaults."""
-    parser = argparse.ArgumentParser(
-        usage="%(prog)s [OPTIONS]", formatter_class=argparse.ArgumentDefaultsHelpFormatter)
+    parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
