@@ -407,9 +407,8 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
-    if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
-            and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"
-            and np.abs([space.low, space.high], dtype=float).max() < 1e30):
+    if not (all(isinstance(x, gym.spaces.Box) and len(x.shape) == 1 for x in (obs_space, space))
+            and space.dtype.kind == "f" and np.abs([space.low, space.high]).max().item() < 1e30):
         envs.close()
         raise gym.error.Error("needs flat Boxes of observations and of actions, floats with bounds "
                               f"(see docs/guide.md); has {obs_space} and {space}")

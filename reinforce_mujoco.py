@@ -304,8 +304,8 @@ def make_envs(args, count, **kwargs):
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
-    if not (isinstance(obs_space, gym.spaces.Box) and isinstance(space, gym.spaces.Box)
-            and len(obs_space.shape) == len(space.shape) == 1 and space.dtype.kind == "f"):
+    if not (all(isinstance(x, gym.spaces.Box) and len(x.shape) == 1 for x in (obs_space, space))
+            and space.dtype.kind == "f"):
         envs.close()
         raise gym.error.Error("needs flat Boxes of observations and of actions, floats (see "
                               f"docs/guide.md); has {obs_space} and {space}")
