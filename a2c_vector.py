@@ -55,7 +55,6 @@ import argparse
 import copy
 import os
 import random
-import shutil
 import signal
 import sys
 import time
@@ -581,8 +580,8 @@ def main():
             process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)
-        else:
-            shutil.rmtree(folder, ignore_errors=True)
+        elif not any(folder.iterdir()):
+            folder.rmdir()
 
 
 if __name__ == "__main__":

@@ -51,7 +51,6 @@ import argparse
 import copy
 import os
 import random
-import shutil
 import signal
 import sys
 import time
@@ -460,8 +459,8 @@ def main():
             process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)
-        else:
-            shutil.rmtree(folder, ignore_errors=True)
+        elif not any(folder.iterdir()):
+            folder.rmdir()
 
 
 if __name__ == "__main__":
