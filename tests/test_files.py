@@ -120,11 +120,8 @@ def evaluate_by_hand(script, agent, env_id, seed):
     return np.mean(returns)
 
 
-def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
-    """Side by side, as if each were played by itself.
-
-    Some end sooner and run on, also with infinite reward, but only the first episode counts.
-    """
+def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script, monkeypatch):
+    """As if by itself. Those that are done run on, also with infinite reward, but count no more."""
     env_id = script.world("Uneven" if script.name == "reinforce_mujoco" else "Jackpot")
     envs, agent = script.envs(env_id, 9), script.agent(env_id)
     agent.actor[-1].weight.data *= 100
@@ -134,6 +131,9 @@ def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
     for seed in 7, 8, 7:  # with ever different noise, in environments that have been used
         assert script.module.evaluate(agent, envs, seed) == pytest.approx(expected[seed], rel=1e-5)
         np.random.uniform(), torch.rand(())
+    monkeypatch.setattr(Uneven, "reward", lambda *_: np.nan)
+    with pytest.raises(ValueError, match="a re.* is NaN or infinite"):
+        script.module.evaluate(agent, envs, 7)
 
 
 @pytest.mark.filterwarnings("error")
