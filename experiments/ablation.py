@@ -42,7 +42,7 @@ def effects(rows, tables):
             if both.shape[1] > 1:
                 without, changed = both
                 gains = 100 * (changed - without) / without.mean()
-                effect = compare.gain(gains)
+                effect = compare.paired(gains)
                 alike = sum(changed == without)
                 found.append([name, change, len(gains), *effect, compare.spread(without),
                               compare.spread(changed),

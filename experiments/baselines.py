@@ -14,6 +14,7 @@ from compare import number
 from study import REINFORCE, Job
 
 BASELINES, STEPS, EARLY = ("none", "mean", "value"), range(0, 100_001, 5000), 30_000
+BATCHES = 300  # of whose gradients the variance is taken
 NOISE = "--total-steps 10000"  # the run for whose policy noise is measured
 JOBS = [Job(REINFORCE, options, seed=seed) for seed in range(71, 81)
         for options in (NOISE, *(f"--baseline {name}" for name in BASELINES))]
@@ -28,7 +29,7 @@ def measure(job):
     env.reset(seed=job.seed)
     agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
     agent.load_state_dict(weights)
-    batches = [play(module, args, env, agent) for _ in range(300)]
+    batches = [play(module, args, env, agent) for _ in range(BATCHES)]
     rows = rows.tail(1)
     for name in BASELINES:
         gradients = [gradient(module, agent, name, *batch) for batch in batches]

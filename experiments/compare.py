@@ -31,8 +31,8 @@ def welch(changed, usual):
         return difference(stats.ttest_ind(changed, usual, equal_var=False))
 
 
-def gain(gains):
-    """Their mean."""
+def paired(gains):
+    """The mean of gains, each of a pair."""
     return difference(stats.ttest_1samp(gains, 0))
 
 

@@ -84,6 +84,8 @@ def play(module, args, weights, steps, words):
     agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
     if weights:
         agent.load_state_dict(weights)
+    elif hasattr(agent, "sigma"):
+        agent.sigma.fill_(args.first_std)
     frames, speed = [], 0.0
     obs, _ = env.reset(seed=3)
     for step in range(steps):

@@ -5,7 +5,6 @@ Those with 0.2 are of `returns`. Five hours on two cores.
 
 import compare
 import pages
-import pandas as pd
 import study
 from returns import PENDULUM, TASKS
 from study import PPO, Job
@@ -21,35 +20,37 @@ def measure(job):
     return study.train(job)[0] if PENDULUM in job.options else study.last_evaluation(job)
 
 
-def before_and_after(rows):
+def before_and_after(rows, rows_today):
     """Of a table: the last returns with 0.1, with 0.2, and their difference."""
-    finals = study.final_rows(rows).set_index("options")["return"]
-    pairs = [(finals[TASKS[task]], finals[BEFORE[task]]) for task in BEFORE]
-    gains = [compare.welch(*pair) for pair in pairs]
+    before, after = (study.final_rows(x).set_index("options")["return"] for x in (rows, rows_today))
+    pairs = {task: (after[TASKS[task]], before[BEFORE[task]]) for task in BEFORE}
+    gains = [compare.welch(*pair) for pair in pairs.values()]
     p_values = compare.marked([gain.p for gain in gains])
-    for task, (after, before), gain, p in zip(BEFORE, pairs, gains, p_values):
-        yield [task, compare.spread(before), compare.spread(after), str(gain), p]
+    for (task, (today, then)), gain, p in zip(pairs.items(), gains, p_values):
+        yield [task, compare.spread(then), compare.spread(today), str(gain), p]
 
 
-def falls(rows):
+def falls(rows, rows_today):
     """By part of a run: evaluations in which a double pendulum fell, and of how many seeds."""
+    pendulums = [rows[rows["options"] == BEFORE[PENDULUM]],
+                 rows_today[rows_today["options"] == TASKS[PENDULUM]]]
     for first, last in (0.1, 0.4), (0.4, 0.7), (0.7, 1.0):
-        part = rows[rows["steps"].div(1e6).round(2).between(first, last, inclusive="right")]
         line = [f"{first} to {last}"]
-        for options in BEFORE[PENDULUM], TASKS[PENDULUM]:
-            runs = part[part["options"] == options]
-            fell = runs[runs["return"] < ALL_STAND]
-            line.append(f"{len(fell)} of {len(runs)}, {fell['seed'].nunique()} seeds")
+        for runs in pendulums:
+            millions = runs["steps"].div(1e6).round(2)
+            part = runs[millions.between(first, last, inclusive="right")]
+            fell = part[part["return"] < ALL_STAND]
+            line.append(f"{len(fell)} of {len(part)}, {fell['seed'].nunique()} seeds")
         yield line
 
 
 def draw(rows):
-    rows = pd.concat([rows, study.read("returns")])
+    both = rows, study.read("returns")
     return {"before and after": pages.table(
                 ["task", "`--last-std 0.1`", "0.2", "difference, 95%", "p"],
-                before_and_after(rows)),
+                before_and_after(*both)),
             "falls": pages.table(
-                ["million steps", "a fall, with `--last-std 0.1`", "with 0.2"], falls(rows))}
+                ["million steps", "a fall, with `--last-std 0.1`", "with 0.2"], falls(*both))}
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def make(task, setting, seed, **settings):
     torch.set_num_threads(1)  # as ours
     lands = task == "LunarLander-v3"
     our_sizes = {"num_envs": 8, "n_steps": 64} if lands else OUR_SIZES
-    settings |= {"defaults": {}, "zoo": ZOO[task], "our sizes": our_sizes}[setting]
+    settings |= {"defaults": {}, "zoo": ZOO.get(task), "our sizes": our_sizes}[setting]
     # LunarLander would else simulate sparks, to draw them.
     envs = env_util.make_vec_env(task, settings.pop("num_envs", 8 if lands else 1), seed,
                                  env_kwargs={"render_mode": None})

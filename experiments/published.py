@@ -40,7 +40,7 @@ def earlier_lines():
         pairs = of_stage.set_index(keys)["return_at_100"].unstack().dropna()
         for task, gains in (pairs[change] - pairs[""]).groupby("env_id"):
             several = len(gains) > 2
-            yield [change, task, len(gains), str(compare.gain(gains))
+            yield [change, task, len(gains), str(compare.paired(gains))
                    if several else ", ".join(map(compare.number, gains))]
 
 

@@ -48,7 +48,7 @@ def draw(rows):
     for world, query in WORLDS.items():
         agents = rows.query(query).groupby(["options", "seed"])["return"].mean()
         usual, randomized = (agents[kind] for kind in KINDS)
-        gain = compare.gain(randomized - usual)  # of pairs of a seed
+        gain = compare.paired(randomized - usual)  # of pairs of a seed
         p_values.append(gain.p)
         lines.append([world, compare.spread(usual), compare.spread(randomized), str(gain),
                       f"{sum(randomized < usual)} of {len(usual)}"])

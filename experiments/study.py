@@ -5,6 +5,7 @@ A study has JOBS, what is to be measured, and `draw(rows)`, which draws its figu
 
     python experiments/STUDY.py                measures the jobs that have no rows yet, and draws
     python experiments/STUDY.py --only Hopper  measures only jobs with this word in their options
+    python experiments/STUDY.py --again        measures also those of before the script's change
     python experiments/STUDY.py --quick        tries one tiny job, keeps nothing
 """
 
@@ -22,13 +23,16 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
+import numpy as np
 import pages
 import pandas as pd
 import variants
 from tqdm import tqdm
-from variants import A2C, PPO, REINFORCE, ROOT  # noqa: F401 (for the studies)
+from variants import A2C, PPO, REINFORCE, ROOT
 
 DATA = ROOT / "experiments/data"
+# The commits that last changed the numbers of a script; those since then changed none.
+SINCE = {REINFORCE: "f0215e1", A2C: "f0215e1", PPO: "e686738"}
 
 
 class Job(NamedTuple):
@@ -100,23 +104,30 @@ def measured(measure, job, keep=True):
 def read(name):
     path = DATA / f"{name}.csv"
     if not path.exists():
-        return pd.DataFrame(columns=KEYS)
-    rows = pd.read_csv(path, dtype={"options": str, "change": str, "commit": str})
+        return pd.DataFrame(columns=[*KEYS, "commit"])
+    rows = pd.read_csv(path, dtype=dict.fromkeys(["options", "change", "commit", "cleanrl"], str))
     return rows.fillna({"options": "", "change": ""})
+
+
+def keys(rows):
+    """The jobs of rows, as tuples."""
+    return list(rows[KEYS].itertuples(index=False, name=None))
 
 
 def final_rows(rows):
     """The last row of each job."""
-    return rows.groupby(KEYS, sort=False).last().reset_index()
+    return rows.groupby(KEYS, sort=False).tail(1).reset_index(drop=True)
 
 
-def name_older_commits(rows):
-    """A line for each commit but the last of a script by which rows were measured."""
-    for (script, commit), group in rows.groupby(["script", "commit"]):
-        today = git("log", "-1", "--format=%h", "--", script).strip()
-        if commit != today:
-            count = len(group[KEYS].drop_duplicates())
-            print(f"{count} jobs were measured with {script} of commit {commit}, not {today}")
+def is_old(rows):
+    """Which rows were measured before their script's numbers changed."""
+    def since_then(script, commit):
+        command = "git", "merge-base", "--is-ancestor", SINCE[script], commit
+        return not subprocess.run(command, cwd=ROOT, capture_output=True).returncode
+
+    origins = list(zip(rows["script"], rows["commit"]))
+    old = {origin for origin in set(origins) if origin[0] in SINCE and not since_then(*origin)}
+    return np.array([origin in old for origin in origins], bool)
 
 
 def main(jobs, draw, measure=last_evaluation, workers=None):
@@ -124,15 +135,17 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
     study = sys.modules["__main__"]
     parser = argparse.ArgumentParser(description=study.__doc__)
     parser.add_argument("--quick", action="store_true", help="try one tiny job, keep nothing")
+    parser.add_argument("--again", action="store_true", help="jobs with old rows, too")
     parser.add_argument("--only", default="", metavar="TEXT", help="jobs whose options contain it")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
     if args.quick:
-        job = jobs[0]._replace(options=f"{jobs[0].options} --total-steps 256 --num-evals 1")
-        return print(measured(measure, job, keep=False).to_string())
+        return print(measured(measure, tiny(jobs[0]), keep=False).to_string())
     name = Path(study.__file__).stem
     rows = read(name)
-    done = set(rows[KEYS].itertuples(index=False, name=None))
+    old = is_old(rows)
+    print(f"{len(set(keys(rows[old])))} jobs were measured before their script changed its numbers")
+    done = set(keys(rows[~old] if args.again else rows))
     lacking = [job for job in jobs if job not in done and args.only in job.options]
     if lacking:
         commit_of(*{job.script for job in lacking}, "experiments/*.py")
@@ -140,15 +153,29 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
         futures = [processes.submit(measured, measure, job) for job in lacking]
         try:
             for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
-                rows = pd.concat([rows, future.result()] if len(rows) else [future.result()])
-                rows = rows.sort_values(KEYS, kind="stable")
-                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.6g")
+                if future.exception():
+                    print(repr(future.exception()))  # the others go on
+                    continue
+                rows = replaced(rows, future.result())
+                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.10g")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
-    name_older_commits(rows)
-    missing = set(jobs) - set(rows[KEYS].itertuples(index=False, name=None))
+    missing = set(jobs) - set(keys(rows))
     if missing:
         return print(f"not drawn, as {len(missing)} jobs have no rows yet")
     tables = draw(read(name))
     print(*tables.values(), sep="\n")
     pages.write_tables(tables)
+    print("Other studies may use these rows: python experiments/report.py")
+
+
+def tiny(job):
+    return job._replace(options=f"{job.options} --total-steps 256 --num-evals 1")
+
+
+def replaced(rows, new):
+    """Rows, with the new ones in place of older ones of the same jobs, in order."""
+    jobs = set(keys(new))
+    others = rows[[job not in jobs for job in keys(rows)]]
+    rows = pd.concat([others, new]) if len(others) else new
+    return rows.sort_values(KEYS, kind="stable")

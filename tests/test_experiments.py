@@ -74,20 +74,30 @@ def test_a_change_replaces_no_script_and_needs_a_name_and_a_file(arguments, tmp_
 
 
 def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch, capsys):
-    """Of three jobs one is known, one is not asked for; the rows say where they come from."""
+    """Not what is not asked for, and again what is old; the rows say where they come from."""
     measured = []
     monkeypatch.setattr(study, "DATA", tmp_path)
     monkeypatch.setattr(study, "git", lambda verb, *_: "" if verb == "status" else "1234567\n")
     monkeypatch.setattr(study, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
-    jobs = [study.Job("ppo_continuous.py", f"--epochs {seed}", seed=seed) for seed in (1, 2, 3)]
-    for known, arguments in (jobs[:1], []), (jobs, ["--only", "epochs 2"]):
+    jobs = [study.Job("ppo_continuous.py", f"--epochs {seed}", seed=seed) for seed in (1, 2, 3, 4)]
+
+    def measure(job):
+        measured.append(job)
+        return [{"x": 10 * len(measured), "y": 1 / (job.seed - 4)}]
+
+    for known, arguments in (jobs[:1], []), (jobs, ["--only", "epochs 2"]), (jobs[2:], []):
         monkeypatch.setattr(sys, "argv", ["small.py", *arguments])
-        study.main(known, lambda rows: {}, lambda job: measured.append(job) or [{"x": job.seed}])
-    assert measured == jobs[:2]
-    assert "not drawn, as 1 jobs have no rows yet" in capsys.readouterr().out
+        study.main(known, lambda rows: {}, measure)
+    assert measured == jobs
+    out = capsys.readouterr().out
+    assert "not drawn, as 2 jobs have no rows yet" in out
+    assert "ZeroDivisionError" in out  # of the last; the others are kept
+    monkeypatch.setattr(study, "is_old", lambda rows: rows["seed"] == 2)
+    monkeypatch.setattr(sys, "argv", ["small.py", "--again"])
+    study.main(jobs[:3], lambda rows: {}, measure)
     rows = study.read("small")
-    assert rows["x"].to_list() == [1, 2]
+    assert rows["x"].to_list() == [10, 50, 30]
     assert set(rows["commit"]) == {"1234567"}
     assert rows[["processor", "torch", "gymnasium", "mujoco"]].notna().all(axis=None)
 
@@ -102,16 +112,20 @@ def test_a_row_is_an_evaluation_with_the_mean_return_in_training_since_the_last(
     assert study.last_evaluation(study.Job("ppo_continuous.py"))["return"].tolist() == [50]
 
 
-def test_rows_are_of_what_is_committed_and_older_ones_are_named(tmp_path, monkeypatch, capsys):
+def test_rows_are_of_what_is_committed_and_old_if_of_before_a_change(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "ROOT", tmp_path)
     (tmp_path / "x.py").write_text("")
     study.git("init")
     study.git("add", "x.py")
-    study.git("-c", "user.name=x", "-c", "user.email=x", "commit", "-m", "x")
+    commit = "-c", "user.name=x", "-c", "user.email=x", "commit"
+    study.git(*commit, "-m", "x")
     today = study.commit_of("x.py")
-    keys = {"script": "x.py", "options": "", "change": "", "seed": [1, 1, 2, 3]}
-    study.name_older_commits(pd.DataFrame(keys | {"commit": ["old", "old", "old", today]}))
-    assert capsys.readouterr().out.startswith("2 jobs were measured with x.py of commit old")
+    study.git(*commit, "--allow-empty", "-m", "changes the numbers of x.py")
+    monkeypatch.setattr(study, "SINCE", {"x.py": study.git("rev-parse", "HEAD").strip()})
+    study.git(*commit, "--allow-empty", "-m", "changes nothing")
+    rows = pd.DataFrame({"script": ["x.py", "x.py", "x.py", "y.py"], "commit": [
+        today, study.SINCE["x.py"], study.git("rev-parse", "HEAD").strip(), "unknown"]})
+    assert study.is_old(rows).tolist() == [True, False, False, False]
     (tmp_path / "x.py").write_text("changed")
     with pytest.raises(SystemExit, match=r"^not measured, .*: x\.py$"):
         study.commit_of("x.py")
@@ -153,11 +167,10 @@ def test_a_run_has_learned_if_it_ends_above_all_untrained_ones_and_above_the_lev
     assert returns.learned("Hopper-v5", rows).to_list() == [False, False, True]
 
 
-def test_how_often_our_defaults_were_tried_on_the_tasks_of_the_race():
-    trials = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
-    counted = trials["env_id"].isin(race.TASKS[:3]) & (trials["stage"] < 6)  # 6: other settings
+@pytest.mark.parametrize("claim", list(report.claims()))
+def test_what_the_pages_say_in_words_is_what_the_data_say(claim):
     text = " ".join((ROOT / "docs/results.md").read_text("utf-8").split())
-    assert f"in {sum(counted)} trainings" in text
+    assert claim in re.sub(r"\]\([^)]*\)|\[", "", text)  # links are left out
 
 
 def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
@@ -195,6 +208,17 @@ def test_every_row_is_of_a_job_of_its_study(name):
     jobs = importlib.import_module(name).JOBS
     assert len(set(jobs)) == len(jobs)
     assert set(study.read(name)[study.KEYS].itertuples(index=False, name=None)) <= set(jobs)
+
+
+@pytest.mark.parametrize("name", ["baselines", "exercises", "processes", "returns", "robustness"])
+def test_a_study_measures_what_its_rows_hold(name, monkeypatch):
+    module = importlib.import_module(name)
+    for constant, few in ("GRAVITY", (-2.0, -10.0)), ("WIND", (0.0, 20.0)), ("BATCHES", 3):
+        monkeypatch.setattr(module, constant, few, raising=False)
+    rows = study.measured(module.measure, study.tiny(module.JOBS[0]), keep=False)
+    assert set(rows) <= set(study.read(name))
+    if name == "robustness":  # gravity and wind make a difference
+        assert rows["return"].nunique() == 4
 
 
 def test_of_every_file_of_data_is_said_who_wrote_it():
