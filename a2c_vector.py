@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is mere rounding: never divide by that."""
+        """The standard deviation, or 1 where it would be mere rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -364,8 +364,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # The share of the targets' variance that V predicted (target − V = A): 1 is perfect,
-            # 0 or less no better than a constant. If targets hardly vary, it says nothing.
+            # The share of the targets' variance that V predicted (target − V = A): at most 1,
+            # 0 or less if no better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -390,7 +390,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=1_000_000, help="steps of each agent")
+    add("--total-steps", type=in_range(int, 1), default=1_000_000, help="least steps of each agent")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -450,7 +450,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property returns no copy.
+                # Some environments draw from it. Read again: a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

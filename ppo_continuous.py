@@ -17,17 +17,17 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
 *return*, the sum of all rewards of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
-    the critic  V(s)                        the mean *reward to go* from s on, if π acts:
+    the critic  V(s)                        the mean, if π acts, of the *reward to go* from s on:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
 With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they owe little to
-this action and would mostly add noise. The *advantage* A of an action is how much higher G is, on
-average, after it than after an action drawn from π; a stretch of recorded steps, a *rollout*, gives
-a noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
+the action at t and would mostly add noise. The *advantage* A of an action is how much higher G is,
+on average, after it than after an action drawn from π. Recorded steps, a *rollout*, give a noisy
+estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
 algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
 But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal: the learning rate falls linearly to 0, and σ, the exploration, from 0.6 to 0.2.
+  1. Anneal: over a run the learning rate falls to 0, and σ, the exploration, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
@@ -111,7 +111,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it is mere rounding: never divide by that."""
+        """The standard deviation, or 1 where it would be mere rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -132,7 +132,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; a small `last_gain` makes π start alike everywhere."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` makes π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -237,7 +237,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Summed with weights γ^t over the states that π meets, this is the exact gain in discounted
     return [5]. PPO takes the states that π_old has met instead, which is nearly the same
-    while π is near π_old, drops γ^t, and so raises E[ρ·A]. At ρ = 1, where an update starts, its
+    while π is near π_old, drops γ^t, and maximises E[ρ·A]. At ρ = 1, where an update starts, its
     gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away the estimate gets worse,
     so a sample drops out once ρ has gone far enough in the direction of A:
 
@@ -324,8 +324,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # The share of the targets' variance that V predicted (target − V = A): 1 is perfect,
-            # 0 or less no better than a constant. If targets hardly vary, it says nothing.
+            # The share of the targets' variance that V predicted (target − V = A): at most 1,
+            # 0 or less if no better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -350,7 +350,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=150_000, help="steps of each agent")
+    add("--total-steps", type=in_range(int, 1), default=150_000, help="least steps of each agent")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -427,7 +427,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property returns no copy.
+                # Some environments draw from it. Read again: a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

@@ -97,7 +97,7 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; a small `last_gain` makes π start alike everywhere."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` makes π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -151,14 +151,14 @@ def policy_loss(log_probs, advantages):
 
         ∇E[r] = ∫ ∇π(a)·r(a) da
               = ∫ π(a)·∇log π(a)·r(a) da        because ∇log π = ∇π/π
-              = E[r·∇log π(a)]                  an average over π's own actions: play!
+              = E[r·∇log π(a)]                  an average over π's own actions: play, and average
 
     *An episode* τ is many decisions. With p for the environment, its probability is
 
         P(τ) = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…
 
     In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
-    The three lines above hold for episodes, too, with τ for a, P(τ) for π(a), the return for r(a):
+    The same three steps hold for episodes, with τ for a, P(τ) for π(a), the return for r(a):
 
         ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = E[Σ_t Σ_i r_i·∇log π(a_t|s_t)]
 
@@ -175,7 +175,7 @@ def policy_loss(log_probs, advantages):
 
     A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
     loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
-      - a mean over the batch's steps, not a sum, so gradients do not grow with the episodes;
+      - a mean over the batch's steps, not a sum, so long episodes make no larger gradients;
       - γ < 1 counts late rewards less: some bias, less noise. [2] also multiplies by γ^t, which
         we leave out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
@@ -215,11 +215,11 @@ def train(index, args, folder):
     make_repeatable(seed)  # again: what these draw when they are made must not change training
     with (closing(eval_envs), closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # without the vector, which would reset it, as `play` does
+        (env,) = envs.envs  # not the vector, which resets by itself: `play` resets
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
-        env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` then draws new starts
+        env.reset(seed=make_seeds(seed, stream=2, count=1)[0])  # `play` goes on without a seed
         while env_step < args.total_steps:
             optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
             # 1. Play.
@@ -255,7 +255,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=100_000, help="steps of each agent")
+    add("--total-steps", type=in_range(int, 1), default=100_000, help="least steps of each agent")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
@@ -299,7 +299,7 @@ def make_repeatable(seed):
 
 
 def make_envs(args, count, **kwargs):
-    """A vector of `count` environments, which reset themselves after the end of an episode."""
+    """A vector of `count` environments, which reset themselves, and all have a time limit."""
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -322,7 +322,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property returns no copy.
+                # Some environments draw from it. Read again: a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
