@@ -17,7 +17,7 @@ SHORT = ("stepping alone", "defaults", "our sizes", "CleanRL")  # the others, in
 RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, script in (
     ("HalfCheetah-v5", PPO), ("Hopper-v5", PPO), ("Walker2d-v5", PPO), ("LunarLander-v3", A2C))}
 CLEANRL = {task: Job(PPO, f"--env-id {task} --total-steps 32768", "CleanRL") for task in (
-    "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5")}
+    "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "InvertedDoublePendulum-v5")}
 JOBS = [job._replace(seed=repetition) for repetition in range(1, 6)
         for job in [*RACES.values(), *CLEANRL.values()]]
 
