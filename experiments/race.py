@@ -41,27 +41,31 @@ def curves_of(learners, task, rows):
     return {learner: curve for learner, curve in curves.items() if len(curve)}
 
 
-def speeds_of(name, task):
-    """Steps a second of each learner, measured in turns; CleanRL's beside ours of another day."""
+def speeds_of(task):
+    """Steps a second of each learner; CleanRL's by its ratio to ours, as it ran on another day."""
     speeds = study.read("speed")
-    speeds = speeds[(speeds["change"] == "CleanRL") == (name == "cleanrl")]
     speeds = speeds[speeds["options"] == f"--env-id {task} --total-steps 32768"]
-    return speeds.groupby("learner")["speed"].median()
+    beside, usual = (speeds[speeds["change"] == change].groupby("learner")["speed"].median()
+                     for change in ("CleanRL", ""))
+    ours = usual.get("ours", beside["ours"])
+    return {**usual, "ours": ours, "CleanRL": ours * beside["CleanRL"] / beside["ours"]}
 
 
-def draw_task(by_steps, by_minutes, learners, task, curves, speeds):
+def draw_task(by_steps, by_minutes, learners, task, curves):
     """Against steps with every seed, against minutes the means alone."""
+    speeds = speeds_of(task)
     for learner, curve in curves.items():
-        change, _, color, dashes = learners[learner]
+        change, column, color, dashes = learners[learner]
         style = {"color": color, "ls": dashes, "lw": 3}
         pages.curves(curve, "steps", by_steps, color=color, title=task, label=learner,
                      xlabel="million steps", xticks=[0, 0.5, 1])
         by_steps.lines[-1].set(**style)
         mean = curve.groupby("steps")["return"].mean()
-        speed = speeds.get(change, float("nan"))
-        by_minutes.plot(1e6 * mean.index / speed / 60, mean, **style)
+        by_minutes.plot(1e6 * mean.index / speeds[change] / 60, mean, **style)
     pages.name_ends(by_steps)
-    by_minutes.set(xscale="log", xlabel="minutes (log scale)", ylabel="return")
+    ylabel = {"return": "return", "sampled": "return in training"}[column]
+    by_steps.set_ylabel(ylabel)
+    by_minutes.set(xscale="log", xlabel="minutes (log scale)", ylabel=ylabel)
     by_minutes.xaxis.set_major_formatter("{x:g}")
     by_minutes.minorticks_off()
 
@@ -72,7 +76,8 @@ def lines_of(task, curves):
               for learner, curve in curves.items()}
     ours = finals.pop("ours")
     for peer, theirs in finals.items():
-        yield [task[:-3], f"{peer} ({len(theirs)})", compare.spread(theirs),
+        yield [task[:-3], f"{peer} ({len(theirs)})",
+               f"{compare.spread(theirs)} ({compare.number(theirs.median())})",
                f"{compare.spread(ours)} ({len(ours)})", compare.welch(ours, theirs)]
 
 
@@ -91,15 +96,16 @@ def draw_race(name, learners, rows):
     tasks, lines = SHOWN[name], []
     picture, panels = pages.figure(4.3 * len(tasks), 9, 2, len(tasks), sharey="col")
     for i, task in enumerate(tasks):
-        curves, speeds = curves_of(learners, task, rows), speeds_of(name, task)
-        draw_task(*panels[i :: len(tasks)], learners, task, curves, speeds)
+        curves = curves_of(learners, task, rows)
+        draw_task(*panels[i :: len(tasks)], learners, task, curves)
         lines += lines_of(task, curves)
     verdicts = list(compare.verdicts([gain for *_, gain in lines]))
     title = title_of(lines, verdicts) or "No difference"
     picture.suptitle(f"{title} (significant; the rest may be chance)", wrap=True)
     pages.save(picture, f"ppo_{name}")
-    return pages.table(["task", "theirs (seeds)", "their return", "ours", "ours − theirs, 95%",
-                        "verdict"], [[*line, end] for line, end in zip(lines, verdicts)])
+    return pages.table(
+        ["task", "theirs (seeds)", "their return (median)", "ours (seeds)", "ours − theirs, 95%",
+         "verdict"], [[*line, end] for line, end in zip(lines, verdicts)])
 
 
 def draw(rows):

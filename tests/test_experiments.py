@@ -278,7 +278,7 @@ def test_cleanrl_has_a_line_for_each_task(monkeypatch):
     lines = [line for line in table.splitlines() if "CleanRL" in line]
     assert len(lines) == 4
     for line in lines:
-        assert "| 106 ± 3 " in line
+        assert "| 106 ± 3 (106) " in line
         assert line.split("|")[-2].strip() == "**ours above** (p < 0.001)"
 
 
