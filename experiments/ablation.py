@@ -41,7 +41,7 @@ def effects(rows, tables):
             both = returns.reindex(jobs).T.dropna().to_numpy().T
             if both.shape[1] > 1:
                 without, changed = both
-                gains = 100 * (changed - without) / without.mean()
+                gains = 100 * (changed - without) / abs(without.mean())
                 effect = compare.paired(gains)
                 alike = sum(changed == without)
                 found.append([name, change, len(gains), *effect, compare.spread(without),

@@ -23,7 +23,7 @@ def files():
 def write_tables(tables):
     """Into the pages."""
     for page in files():
-        parts = re.split(r"(?<=<!-- )(.+)( -->\n\n)((?:\|.*\n)+)", page.read_text("utf-8"))
+        parts = re.split(r"(?<=<!-- )(.+)( -->\n\n)((?:\|.*\n)*)", page.read_text("utf-8"))
         for i in range(1, len(parts), 4):
             parts[i + 2] = tables.get(parts[i], parts[i + 2])
         page.write_text("".join(parts), encoding="utf-8")

@@ -5,6 +5,7 @@ measured if CLEANRL is the path of its file. Five hours on two cores.
 """
 
 import compare
+import numpy as np
 import pages
 import pandas as pd
 import peers
@@ -47,8 +48,9 @@ def speeds_of(task):
     speeds = speeds[speeds["options"] == f"--env-id {task} --total-steps 32768"]
     beside, usual = (speeds[speeds["change"] == change].groupby("learner")["speed"].median()
                      for change in ("CleanRL", ""))
-    ours = usual.get("ours", beside["ours"])
-    return {**usual, "ours": ours, "CleanRL": ours * beside["CleanRL"] / beside["ours"]}
+    ours = usual.get("ours", beside.get("ours"))
+    ratio = beside.get("CleanRL", np.nan) / beside.get("ours", np.nan)
+    return {**usual, "ours": ours, "CleanRL": ours * ratio}
 
 
 def draw_task(by_steps, by_minutes, learners, task, curves):

@@ -34,10 +34,15 @@ def tables():
 
 
 def claims():
-    """What results.md says in words; a test looks for each."""
+    """What README and results.md say in words; a test looks for each."""
     finals = study.final_rows(study.read("returns")).set_index("options")
+    speeds = study.read("speed").query("change == 'CleanRL'")
+    speeds = speeds.pivot(index=["options", "seed"], columns="learner", values="speed")
+    ratios = speeds.eval("ours / CleanRL").groupby("options").median()
+    yield f"{ratios.min():.0f} to {ratios.max():.0f} times as fast"
     stand = sum(finals.loc[returns.TASKS["Humanoid-v5"], "return"] > 5000)
     yield f"5,000, and {stand} of 10 earn more"
+    yield f"{10 - stand} humanoids of ten still fall"
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid":
         runs = finals.loc[returns.TASKS[f"{task}-v5"]]
         yield f"{task} {compare.spread(runs['return'])}"

@@ -4,7 +4,7 @@ A study has JOBS, what is to be measured, and `draw(rows)`, which draws its figu
 {name: table} for the pages.
 
     python experiments/STUDY.py                measures the jobs that have no rows yet, and draws
-    python experiments/STUDY.py --only Hopper  measures only jobs with this word in their options
+    python experiments/STUDY.py --only Hopper  measures only jobs whose fields contain this
     python experiments/STUDY.py --again        measures also those of before the script's change
     python experiments/STUDY.py --quick        tries one tiny job, keeps nothing
 """
@@ -18,6 +18,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import traceback
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from types import ModuleType
@@ -32,7 +33,8 @@ from variants import A2C, PPO, REINFORCE, ROOT
 
 DATA = ROOT / "experiments/data"
 # The commits that last changed the numbers of a script; those since then changed none.
-SINCE = {REINFORCE: "f0215e1", A2C: "f0215e1", PPO: "e686738"}
+SINCE = {REINFORCE: "f0215e1", A2C: "f0215e1", PPO: "e686738",
+         "experiments/together.py": "e686738"}
 
 
 class Job(NamedTuple):
@@ -79,7 +81,8 @@ def last_evaluation(job):
 
 
 def git(*command):
-    return subprocess.run(["git", *command], cwd=ROOT, text=True, capture_output=True).stdout
+    return subprocess.run(
+        ["git", *command], cwd=ROOT, text=True, capture_output=True, check=True).stdout
 
 
 def commit_of(*files):
@@ -91,7 +94,8 @@ def commit_of(*files):
 
 def measured(measure, job, keep=True):
     """The rows of a job, which say where they come from."""
-    origin = {**job._asdict(), "commit": commit_of(job.script) if keep else "not kept"}
+    commit = commit_of(job.script, "experiments/*.py") if keep else "not kept"
+    origin = {**job._asdict(), "commit": commit}
     cpuinfo = Path("/proc/cpuinfo")  # where Linux says it, but not on every processor
     model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
     origin["processor"] = model[1] if model else platform.processor() or platform.machine()
@@ -123,7 +127,10 @@ def is_old(rows):
     """Which rows were measured before their script's numbers changed."""
     def since_then(script, commit):
         command = "git", "merge-base", "--is-ancestor", SINCE[script], commit
-        return not subprocess.run(command, cwd=ROOT, capture_output=True).returncode
+        code = subprocess.run(command, cwd=ROOT, capture_output=True).returncode
+        if code > 1:
+            sys.exit(f"git lacks {SINCE[script]} or {commit}: fetch the whole history")
+        return code == 0
 
     origins = list(zip(rows["script"], rows["commit"]))
     old = {origin for origin in set(origins) if origin[0] in SINCE and not since_then(*origin)}
@@ -136,7 +143,7 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
     parser = argparse.ArgumentParser(description=study.__doc__)
     parser.add_argument("--quick", action="store_true", help="try one tiny job, keep nothing")
     parser.add_argument("--again", action="store_true", help="jobs with old rows, too")
-    parser.add_argument("--only", default="", metavar="TEXT", help="jobs whose options contain it")
+    parser.add_argument("--only", default="", metavar="TEXT", help="jobs that contain it")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
     if args.quick:
@@ -146,23 +153,24 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
     old = is_old(rows)
     print(f"{len(set(keys(rows[old])))} jobs were measured before their script changed its numbers")
     done = set(keys(rows[~old] if args.again else rows))
-    lacking = [job for job in jobs if job not in done and args.only in job.options]
+    lacking = [job for job in jobs if job not in done and args.only in " ".join(map(str, job))]
     if lacking:
         commit_of(*{job.script for job in lacking}, "experiments/*.py")
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as processes:
-        futures = [processes.submit(measured, measure, job) for job in lacking]
+        futures = {processes.submit(measured, measure, job): job for job in lacking}
         try:
             for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
-                if future.exception():
-                    print(repr(future.exception()))  # the others go on
+                if future.exception():  # the others go on
+                    print(futures[future], *traceback.format_exception(future.exception()))
                     continue
-                rows = replaced(rows, future.result())
-                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.10g")
+                rows = replaced(read(name), future.result())
+                rows.to_csv(DATA / f"{name}.new", index=False, float_format="%.10g")
+                (DATA / f"{name}.new").replace(DATA / f"{name}.csv")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
     missing = set(jobs) - set(keys(rows))
     if missing:
-        return print(f"not drawn, as {len(missing)} jobs have no rows yet")
+        sys.exit(f"not drawn, as {len(missing)} jobs have no rows yet")
     tables = draw(read(name))
     print(*tables.values(), sep="\n")
     pages.write_tables(tables)
