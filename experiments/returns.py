@@ -15,7 +15,7 @@ TASKS = {f"{task}-v5": f"--env-id {task}-v5 --total-steps 1e6" for task in (
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", "Swimmer-v5"
 LEARNED = {"Ant-v5": 1000, "Hopper-v5": 1000, "Walker2d-v5": 1000, "Humanoid-v5": 2000}
 HUNDRED = "--num-evals 1 --eval-episodes 100"
-SEEDS = {REINFORCE: range(101, 121), A2C: range(71, 101), PPO: range(101, 111)}
+SEEDS = {REINFORCE: range(101, 121), A2C: range(101, 131), PPO: range(101, 111)}
 PROCESSOR = "AMD EPYC"  # of the minutes
 CURVES = [Job(PPO, options, seed=seed) for seed in SEEDS[PPO] for options in TASKS.values()]
 JOBS = [*(Job(script, seed=seed) for seed in range(1, 6) for script in SEEDS),
