@@ -11,11 +11,11 @@ NAMES = {"--clip-eps 1e9": "no clip", "--max-kl 1e9": "no KL limit", "--last-std
 DETAILS = [*NAMES, "learning-rate-constant", "advantages-not-standardised", "no-tanh",  # of PPO
            "observations-not-normalised", "rewards-not-scaled", "last-layer-not-small",
            "time-limits-as-deaths"]
-TABLES = {  # a script on a task: a job, with the --last-std that was the default, and changes
+TABLES = {  # a script on a task: a job, with the --last-std it was measured with, and changes
     "HalfCheetah": (Job(PPO, "--env-id HalfCheetah-v5 --total-steps 3e5 --last-std 0.1"),
                     [*DETAILS, "--epochs 1", "--epochs 1 --minibatch-size 52",
                      "--first-std 0.03 --last-std 0.03"]),
-    "double pendulum": (Job(PPO, "--last-std 0.1"), DETAILS),
+    "double pendulum": (Job(PPO), DETAILS),
     "Hopper": (Job(PPO, "--env-id Hopper-v5 --total-steps 1e6 --last-std 0.1"), DETAILS),
     "A2C": (Job(A2C), ["--gae-lambda 0", "--gae-lambda 1"]),
 }

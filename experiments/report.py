@@ -2,6 +2,7 @@
 
 import importlib
 
+import ablation
 import compare
 import last_std
 import pages
@@ -40,6 +41,9 @@ def claims():
     speeds = speeds.pivot(index=["options", "seed"], columns="learner", values="speed")
     ratios = speeds.eval("ours / CleanRL").groupby("options").median()
     yield f"{ratios.min():.0f} to {ratios.max():.0f} times as fast"
+    effects = ablation.effects(study.read("ablation"), ablation.TABLES)
+    effects = effects.set_index(["table", "change"])["gain"]
+    yield f"costs {-effects['double pendulum', '--clip-eps 1e9']:.0f}% of the return"
     stand = sum(finals.loc[returns.TASKS["Humanoid-v5"], "return"] > 5000)
     yield f"5,000, and {stand} of 10 earn more"
     yield f"{10 - stand} humanoids of ten still fall"
