@@ -27,7 +27,7 @@ estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 le
 algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
 But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal: over a run the learning rate falls to 0, and σ, the exploration, from 0.6 to 0.2.
+  1. Anneal, linearly over the run: the learning rate to 0, σ, the exploration, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
@@ -132,7 +132,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; a small `last_gain` makes π alike in all states."""
+    """Two hidden layers, orthogonal weights; small `last_gain`: π starts alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -350,7 +350,7 @@ def parse_args(argv=None, known=None):
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
     add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
-    add("--total-steps", type=in_range(int, 1), default=150_000, help="least steps of each agent")
+    add("--total-steps", type=in_range(int, 1), default=150_000, help="steps per agent, at least")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")

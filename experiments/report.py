@@ -46,7 +46,7 @@ def claims():
     yield f"costs {-effects['double pendulum', '--clip-eps 1e9']:.0f}% of the return"
     stand = sum(finals.loc[returns.TASKS["Humanoid-v5"], "return"] > 5000)
     yield f"5,000, and {stand} of 10 earn more"
-    yield f"{10 - stand} humanoids of ten still fall"
+    yield f"{10 - stand} of 10 humanoids still fall"
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid":
         runs = finals.loc[returns.TASKS[f"{task}-v5"]]
         yield f"{task} {compare.spread(runs['return'])}"
