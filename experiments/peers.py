@@ -100,10 +100,10 @@ class Agent:
 
 
 def learn(job):
-    """A row for each of 51 evaluations of five episodes; of CleanRL `learn_cleanrl`."""
+    """A row for each of 51 evaluations of five episodes; of CleanRL see `learn_cleanrl`."""
     ours, args = study.load(Job(PPO, job.options, seed=job.seed))
     if job.change == "CleanRL":
-        return learn_cleanrl(args)
+        return learn_cleanrl(args, ours.evaluate)
     model, rows = make(args.env_id, job.change, job.seed), []
     envs, agent = gym.make_vec(args.env_id, 5), Agent(model)
 
@@ -118,10 +118,11 @@ def learn(job):
     return rows
 
 
-def run_cleanrl(args):
-    """What CleanRL's script logs: a row for each value, with its tag and the step.
+def run_cleanrl(args, after_update=lambda script: None):
+    """Run CleanRL's script; returns what it logs, a row for each value, with its tag and the step.
 
     It gets its options without tyro, and tells its log to us instead of TensorBoard.
+    `after_update(script)` is called after each of its updates, with its global names.
     """
     torch.set_num_threads(1)
     text, old = Path(CLEANRL).read_text("utf-8"), "lambda obs: np.clip(obs, -10, 10)"
@@ -129,14 +130,19 @@ def run_cleanrl(args):
         raise ValueError(f"{CLEANRL}: {old!r} occurs {text.count(old)} times")
     options = {"env_id": args.env_id, "total_timesteps": args.total_steps, "seed": args.seed[0],
                "cuda": False}
-    writer = mock.Mock()
+    script, log = {"__name__": "__main__", "__file__": CLEANRL}, []
+
+    def add_scalar(tag, value, step):
+        log.append({"tag": tag, "value": value, "steps": step})
+        if tag == "charts/SPS":  # the last of an update
+            after_update(script)
+
     theirs = {"tyro": mock.Mock(cli=lambda Args: Args(**options)),
-              "torch.utils.tensorboard": mock.Mock(SummaryWriter=lambda _: writer)}
+              "torch.utils.tensorboard": mock.Mock(
+                  SummaryWriter=lambda _: mock.Mock(add_scalar=add_scalar))}
     with mock.patch.dict(sys.modules, theirs), contextlib.redirect_stdout(io.StringIO()):
-        exec(compile(text.replace(old, f"{old}, env.observation_space"), CLEANRL, "exec"),
-             {"__name__": "__main__", "__file__": CLEANRL})
-    return pd.DataFrame([call.args for call in writer.add_scalar.call_args_list],
-                        columns=["tag", "value", "steps"])
+        exec(compile(text.replace(old, f"{old}, env.observation_space"), CLEANRL, "exec"), script)
+    return pd.DataFrame(log)
 
 
 def cleanrl_speed(args):
@@ -145,14 +151,37 @@ def cleanrl_speed(args):
     return log.loc[log["tag"] == "charts/SPS", "value"].iloc[-1]
 
 
-def learn_cleanrl(args):
-    """A row for each twentieth of the steps: returns in training, averaged as ours are."""
-    log = run_cleanrl(args)
+class CleanRLAgent:
+    """Looks like one of ours. Observations are normalised with the statistics of its training."""
+
+    def __init__(self, script):
+        self.actor_mean = script["agent"].actor_mean
+        (self.stats,) = script["envs"].get_attr("obs_rms")
+
+    @torch.no_grad()
+    def act(self, obs, deterministic):
+        seen = (obs - self.stats.mean) / np.sqrt(self.stats.var + 1e-8)
+        return self.actor_mean(torch.Tensor(seen.clip(-10, 10))).numpy()
+
+
+def learn_cleanrl(args, evaluate):
+    """A row for each twentieth of the updates: returns in training, averaged as ours are, and
+
+    `return`, an evaluation of the mean actions, clipped to their bounds, of ten episodes.
+    """
+    envs, evaluations = gym.make_vec(args.env_id, 10, wrappers=[gym.wrappers.ClipAction]), []
+
+    def after_update(script):
+        if 20 * script["update"] // script["num_updates"] > len(evaluations):
+            evaluations.append(evaluate(CleanRLAgent(script), envs, args.seed[0]))
+
+    log = run_cleanrl(args, after_update)
     returns, updates = (log[log["tag"] == f"charts/{x}"] for x in ("episodic_return", "SPS"))
     of_updates = returns["value"].groupby(np.searchsorted(updates["steps"], returns["steps"]))
     of_updates = of_updates.mean()
-    rows = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(updates))).mean()
-    steps = rows.index * updates["steps"].max() / 20
+    sampled = of_updates.groupby(np.ceil(20 * (of_updates.index + 1) / len(updates))).mean()
+    steps = np.arange(1, 21) * updates["steps"].max() / 20
     version = study.git("hash-object", Path(CLEANRL).resolve())[:7]  # git's name of this very text
     return pd.DataFrame({"steps": steps, "seconds": steps / updates["value"].iloc[-1],
-                         "sampled": rows.values, "cleanrl": version})
+                         "return": evaluations, "sampled": sampled.reindex(range(1, 21)).values,
+                         "cleanrl": version})

@@ -232,17 +232,25 @@ def test_of_every_file_of_data_is_said_who_wrote_it():
 
 CLEANRL = """
 from dataclasses import dataclass
-import gymnasium as gym, numpy as np, tyro
+import gymnasium as gym, numpy as np, torch, tyro
 from torch.utils.tensorboard import SummaryWriter
 @dataclass
 class Args:
     env_id: str; total_timesteps: int; seed: int; cuda: bool
+class Agent:
+    def actor_mean(self, obs):
+        return torch.stack([obs[:, 1], 5 + obs[:, 1]], 1)
+def make_env():
+    env = gym.wrappers.NormalizeObservation(gym.make(args.env_id))
+    return gym.wrappers.TransformObservation(env, lambda obs: np.clip(obs, -10, 10))
 if __name__ == "__main__":
     args, writer = tyro.cli(Args), SummaryWriter("runs/x")
-    env = gym.make(args.env_id)
-    env = gym.wrappers.TransformObservation(env, lambda obs: np.clip(obs, -10, 10))
-    env.reset(seed=args.seed)
-    for update in range(1, args.total_timesteps // 2 + 1):
+    agent, envs = Agent(), gym.vector.SyncVectorEnv([make_env])
+    envs.reset(seed=args.seed)
+    envs.envs[0].get_wrapper_attr("obs_rms").mean[1] = 1.0  # of steps, which are 0 at first
+    envs.envs[0].get_wrapper_attr("obs_rms").var[1] = 4.0
+    num_updates = args.total_timesteps // 2
+    for update in range(1, num_updates + 1):
         print("update", update)
         for step in 2 * update - 1, 2 * update:
             writer.add_scalar("charts/episodic_return", step, step)
@@ -251,13 +259,18 @@ if __name__ == "__main__":
 
 
 def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch, capsys):
-    """A stand-in, with twenty updates of two steps, in each of which an episode ends."""
+    """A stand-in with forty updates of two steps, in each of which an episode ends.
+
+    Its mean action is (x, 5 + x) if it sees x in place of the steps so far. In an evaluation these
+    are 0, so x = (0 − 1)/√4 = −0.5, and the second number is clipped to 0.5.
+    """
     monkeypatch.setattr(peers, "CLEANRL", str(tmp_path / "ppo.py"))
     (tmp_path / "ppo.py").write_text(CLEANRL)
-    job = study.Job(peers.FILE, "--total-steps 80", "CleanRL", seed=3)
+    job = study.Job(peers.FILE, "--env-id harness:Target-v0 --total-steps 80", "CleanRL", seed=3)
     rows = peers.learn(job)
     assert rows["steps"].to_list() == list(range(4, 81, 4))
     assert rows["sampled"].to_list() == [x - 1.5 for x in rows["steps"]]  # of steps x − 3 to x
+    assert rows["return"].to_numpy() == pytest.approx(-(2.5**2) - 0.4**2)
     assert rows["seconds"].iloc[-1] == 80 / 1040
     assert peers.cleanrl_speed(study.load(job._replace(script="ppo_continuous.py", change=""))[1]) \
         == 1040
