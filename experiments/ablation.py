@@ -76,8 +76,9 @@ def draw(rows):
     details["change"] = details["change"].str.replace("-", " ")
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="gain, %").loc[order]
-    steps = {task: study.load(TABLES[task][0])[1].total_steps for task in texts}
-    titles = {task: f"{task},\n{steps[task]:,} steps" for task in texts}
+    usual = {task: study.load(TABLES[task][0])[1] for task in texts}
+    titles = {task: f"{task}, {args.total_steps:,} steps,\nσ falls to {args.last_std}"
+              for task, args in usual.items()}
     draw_gains(details, order, titles)
     lines = [["return as it is (± std)", *details.groupby("table")["without"].first()],
              *texts.reset_index().to_numpy()]

@@ -80,7 +80,7 @@ def draw(rows):
                      ls=dashes, lw=3, label=name, ax=middle)
     middle.set(title="return, mean of ten seeds\n(band: 95%, bootstrap)",
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
-    pages.name_ends(middle)
+    pages.name_ends(middle, x=103_000)
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
     pages.save(picture, "baselines")
     return {"baselines": pages.table(

@@ -3,8 +3,10 @@
 import itertools
 
 import compare
+import numpy as np
 import pages
 import study
+import torch
 from ablation import with_change
 from compare import number
 from study import A2C, PPO, Job
@@ -24,14 +26,31 @@ DIGITS = {"eval_return": 0, "return": 0, "value_loss": 2, "explained_variance": 
 WORDS = "first", "median", "last"  # of the rows of a log
 JOBS = [*(with_change(job, change, seed) for seed in range(1, 6) for _, job, change in
           [*(("", job, "") for job in (LANDER, CHEETAH, POLE)), *RUN.values()]),
-        *(Job(PPO, SHORT, change, seed) for seed in (1, 2) for change in FIND.values())]
+        *(Job(PPO, SHORT, change, seed) for seed in (1, 2, 3) for change in FIND.values())]
 
 
 def measure(job):
-    """The first, the median and the last of each column of the log."""
-    log, _ = study.run(*study.load(job))
+    """The first, the median and the last of each column of the log; of CartPole the mean V, too."""
+    module, args = study.load(job)
+    log, weights = study.run(module, args)
     words = {"first": log.iloc[0], "median": log.median(), "last": log.iloc[-1]}
-    return [{f"{word} {name}": value for word, row in words.items() for name, value in row.items()}]
+    row = {f"{word} {name}": x for word, of_log in words.items() for name, x in of_log.items()}
+    if job.options == POLE.options:
+        row["mean V"] = mean_value(module, args, weights)
+    return [row]
+
+
+def mean_value(module, args, weights):
+    """Of the states in 500 steps of the trained agent."""
+    envs, values = module.make_envs(args, 1), []
+    agent = module.Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
+    agent.load_state_dict(weights)
+    obs, _ = envs.reset(seed=1)
+    for _ in range(500):
+        values.append(agent.value(torch.tensor(obs)).item())
+        obs, *_ = envs.step(agent.act(obs, deterministic=True))
+    envs.close()
+    return np.mean(values)
 
 
 def draw(rows):
@@ -56,10 +75,15 @@ def draw(rows):
                  for change in FIND.values()]
         find.append([f"{statistic} `{column}`", *(
             ", ".join(number(x, digits) if x else "0" for x in values) for values in cells)])
+    poles = {name: rows.loc[job[:3]].sort_values("seed")
+             for name, job in (("without", POLE), ("with", with_change(POLE, RUN[9][2])))}
+    value = [[name, *(f"{number(V, 1)}, {number(last)}" for V, last in zip(
+        runs["mean V"], runs["last eval_return"]))] for name, runs in poles.items()]
     return {
+        "value": pages.table(["exercise 9: mean V, return", *poles["with"]["seed"]], value),
         "run": pages.table(["", "change", "without (± std)", "with (± std)", "difference, 95%",
                             "p", "verdict", "median `explained_variance`", "median `kl`"], run),
-        "find": pages.table(["seeds 1, 2", *FIND], find)}
+        "find": pages.table(["seeds 1, 2, 3", *FIND], find)}
 
 
 if __name__ == "__main__":

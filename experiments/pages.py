@@ -44,17 +44,14 @@ def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
     axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
 
 
-def name_ends(axis, gap=0.07):
-    """In place of a legend: each line's label beside its end, none over another."""
+def name_ends(axis, x, gap=0.07):
+    """In place of a legend: each line's label at x, beside its end, none over another."""
     named = [line for line in axis.lines if not line.get_label().startswith("_")]
     named.sort(key=lambda line: line.get_ydata()[-1])
     shifts = gap * np.ptp(axis.get_ylim()) * np.arange(len(named))
     ends = [line.get_ydata()[-1] for line in named]  # moved as little as the gaps allow:
     for line, place in zip(named, optimize.isotonic_regression(ends - shifts).x + shifts):
-        axis.annotate(line.get_label(), (line.get_xdata()[-1], place), (6, 0), va="center",
-                      textcoords="offset points", size="small", color=line.get_color(),
-                      annotation_clip=False)
-    axis.get_legend().remove()
+        axis.text(x, place, line.get_label(), va="center", size="small", color=line.get_color())
 
 
 def save(picture, name):

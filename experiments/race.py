@@ -14,15 +14,14 @@ import study
 from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
-RACES = {  # learner: the change of its rows, a column, colour, dashes
-    "race": {"ours": ("ours", "return", "C0", "-"),
-             "sb3, defaults": ("defaults", "return", "C1", "--"),
-             "sb3, zoo": ("zoo", "return", "C2", ":"),
-             "sb3, our sizes": ("our sizes", "return", "C4", "-.")},
-    "cleanrl": {"ours": ("ours", "sampled", "C0", "-"),
-                "CleanRL": ("CleanRL", "sampled", "C3", "--")}}
+WORDS = {"return": "without noise", "sampled": "in training"}
+RACES = {  # tasks; what is compared; learners: the change of their rows, colour, dashes
+    "race": (TASKS[:3], ["return"], {
+        "ours": ("ours", "C0", "-"), "sb3, defaults": ("defaults", "C1", "--"),
+        "sb3, zoo": ("zoo", "C2", ":"), "sb3, our sizes": ("our sizes", "C4", "-.")}),
+    "cleanrl": (TASKS, ["return", "sampled"], {
+        "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "C3", "--")})}
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
-SHOWN = {"race": TASKS[:3], "cleanrl": TASKS}
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for setting in ("defaults", "zoo", "our sizes")
@@ -31,12 +30,12 @@ JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for seed in range(101, 111) for task in TASKS)]
 
 
-def curves_of(learners, task, rows):
+def curves_of(learners, task, column, rows):
     """Of each learner and seed: the mean of its evaluations, of 50,000 steps at a time."""
     runs = rows[(rows["options"] == returns.TASKS[task]) & (rows["steps"] > 25_000)]
-    runs = runs.assign(steps=(runs["steps"] / 50_000).round() / 20)
+    runs = runs.assign(steps=(runs["steps"] / 50_000).round() / 20).dropna(subset=column)
     curves = {}
-    for learner, (change, column, *_) in learners.items():
+    for learner, (change, *_) in learners.items():
         seeds = runs[runs["change"] == change].groupby(["seed", "steps"])
         curves[learner] = seeds[column].mean().rename("return").reset_index()
     return {learner: curve for learner, curve in curves.items() if len(curve)}
@@ -53,32 +52,37 @@ def speeds_of(task):
     return {**usual, "ours": ours, "CleanRL": ours * ratio}
 
 
-def draw_task(by_steps, by_minutes, learners, task, curves):
-    """Against steps with every seed, against minutes the means alone."""
+def draw_steps(axis, curves, learners, **labels):
+    """Means against steps; at the end a dot for each seed."""
+    for i, (learner, curve) in enumerate(curves.items(), start=1):
+        _, color, dashes = learners[learner]
+        mean = curve.groupby("steps")["return"].mean()
+        axis.plot(mean, color=color, ls=dashes, lw=3, label=learner)
+        finals = curve.loc[curve["steps"] == 1, "return"]
+        axis.plot(np.full(len(finals), 1 + 0.04 * i), finals, "o", color=color, ms=5, alpha=0.6)
+    axis.set(xlabel="million steps", xticks=[0, 0.5, 1], **labels)
+    pages.name_ends(axis, x=1.06 + 0.04 * i)
+
+
+def draw_minutes(axis, curves, learners, task):
+    """Means against minutes."""
     speeds = speeds_of(task)
     for learner, curve in curves.items():
-        change, column, color, dashes = learners[learner]
-        style = {"color": color, "ls": dashes, "lw": 3}
-        pages.curves(curve, "steps", by_steps, color=color, title=task, label=learner,
-                     xlabel="million steps", xticks=[0, 0.5, 1])
-        by_steps.lines[-1].set(**style)
+        change, color, dashes = learners[learner]
         mean = curve.groupby("steps")["return"].mean()
-        by_minutes.plot(1e6 * mean.index / speeds[change] / 60, mean, **style)
-    pages.name_ends(by_steps)
-    ylabel = {"return": "return", "sampled": "return in training"}[column]
-    by_steps.set_ylabel(ylabel)
-    by_minutes.set(xscale="log", xlabel="minutes (log scale)", ylabel=ylabel)
-    by_minutes.xaxis.set_major_formatter("{x:g}")
-    by_minutes.minorticks_off()
+        axis.plot(1e6 * mean.index / speeds[change] / 60, mean, color=color, ls=dashes, lw=3)
+    axis.set(xscale="log", xlabel="minutes (log scale)")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.minorticks_off()
 
 
-def lines_of(task, curves):
+def lines_of(task, word, curves):
     """Of the table, one for each peer, from the last points of the curves; at its end the gain."""
-    finals = {learner: curve.loc[curve["steps"] == curve["steps"].max(), "return"]
+    finals = {learner: curve.loc[curve["steps"] == 1, "return"]
               for learner, curve in curves.items()}
     ours = finals.pop("ours")
     for peer, theirs in finals.items():
-        yield [task[:-3], f"{peer} ({len(theirs)})",
+        yield [task[:-3], f"{peer}{word} ({len(theirs)})",
                f"{compare.spread(theirs)} ({compare.number(theirs.median())})",
                f"{compare.spread(ours)} ({len(ours)})", compare.welch(ours, theirs)]
 
@@ -93,27 +97,35 @@ def title_of(lines, verdicts):
     return "; ".join(f"{side} {' and '.join(peers)}" for side, peers in leads.items())
 
 
-def draw_race(name, learners, rows):
+def draw_race(name, rows):
     """Returns its table."""
-    tasks, lines = SHOWN[name], []
-    picture, panels = pages.figure(4.3 * len(tasks), 9, 2, len(tasks), sharey="col")
+    (tasks, columns, learners), lines = RACES[name], []
+    height = len(columns) + 1
+    picture, panels = pages.figure(4.5 * len(tasks), 4.2 * height, height, len(tasks), sharey="col")
+    panels = panels.reshape(height, -1)
     for i, task in enumerate(tasks):
-        curves = curves_of(learners, task, rows)
-        draw_task(*panels[i :: len(tasks)], learners, task, curves)
-        lines += lines_of(task, curves)
+        for axis, column in zip(panels[:, i], columns):
+            curves = curves_of(learners, task, column, rows)
+            draw_steps(axis, curves, learners, title=task)
+            word = f", {WORDS[column]}" if len(columns) > 1 else ""
+            lines += lines_of(task, word, curves)
+        draw_minutes(panels[-1, i], curves_of(learners, task, columns[0], rows), learners, task)
+    for axis, column in zip(panels[:, 0], [*columns, columns[0]]):
+        axis.set_ylabel(f"return {WORDS[column]}")
     verdicts = list(compare.verdicts([gain for *_, gain in lines]))
     title = title_of(lines, verdicts) or "No difference"
-    picture.suptitle(f"{title} (significant; the rest may be chance)", wrap=True)
+    picture.suptitle(f"{title} (significant; the rest may be chance; dots: seeds)", wrap=True)
     pages.save(picture, f"ppo_{name}")
     return pages.table(
-        ["task", "theirs (seeds)", "their return (median)", "ours (seeds)", "ours − theirs, 95%",
-         "verdict"], [[*line, end] for line, end in zip(lines, verdicts)])
+        ["task", "peer (seeds)", "peer's return (median)", "ours (seeds)", "ours − peer's, 95%",
+         "verdict"],
+        [[*line, end] for line, end in zip(lines, verdicts)])
 
 
 def draw(rows):
     rows = rows[rows[["options", "change"]].apply(tuple, axis=1) != LEFT_OUT]
     rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), rows])
-    return {name: draw_race(name, learners, rows) for name, learners in RACES.items()}
+    return {name: draw_race(name, rows) for name in RACES}
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
+import claims
 import compare
 import merge
 import numpy as np
@@ -165,13 +166,7 @@ def test_at_a_threshold_is_a_run_whose_last_return_reaches_it():
     assert returns.at_threshold("Humanoid-v5", rows) == "no threshold"
 
 
-def test_a_run_has_learned_if_it_ends_above_all_untrained_ones_and_above_the_level():
-    rows = pd.DataFrame({"seed": [1, 1, 2, 2, 3, 3], "return": [10, 30, 40, 41, 0, 1001]})
-    assert returns.learned("Pusher-v5", rows).to_list() == [False, True, True]
-    assert returns.learned("Hopper-v5", rows).to_list() == [False, False, True]
-
-
-@pytest.mark.parametrize("claim", list(report.claims()))
+@pytest.mark.parametrize("claim", list(claims.claims()))
 def test_what_the_pages_say_in_words_is_what_the_data_say(claim):
     text = " ".join((ROOT / page).read_text("utf-8") for page in ("README.md", "docs/results.md"))
     assert claim in " ".join(re.sub(r"\]\([^)]*\)|\[", "", text).split())  # without links
@@ -181,7 +176,8 @@ def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
     rows = pd.DataFrame({"options": "--env-id Hopper-v5 --total-steps 1e6", "change": "zoo",
                          "seed": 1, "steps": [1, 40_000, 60_000, 960_000, 980_000, 1_001_472],
                          "return": [0, 1, 3, 5, 7, 9]})
-    curve = race.curves_of(race.RACES["race"], "Hopper-v5", rows)["sb3, zoo"]
+    *_, learners = race.RACES["race"]
+    curve = race.curves_of(learners, "Hopper-v5", "return", rows)["sb3, zoo"]
     assert curve[["steps", "return"]].to_numpy().tolist() == [[0.05, 2], [0.95, 5], [1, 8]]
 
 
@@ -201,8 +197,9 @@ def tables():
 def test_all_tables_of_the_pages_are_those_of_the_data(tables):
     text = "".join(page.read_text("utf-8") for page in pages.files())
     shown = re.findall(r"<!-- (.+) -->\n\n((?:\|.*\n)+)", text)
-    answers = {"run", "find"} if (ROOT / "docs/answers.md").read_text("utf-8") else set()
-    assert {name for name, _ in shown} == set(tables) - {"run", "find"} | answers
+    of_answers = {"run", "find", "value"}
+    answers = of_answers if (ROOT / "docs/answers.md").read_text("utf-8") else set()
+    assert {name for name, _ in shown} == set(tables) - of_answers | answers
     for name, table in shown:
         assert table == tables[name], name
 
@@ -280,23 +277,22 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
         peers.learn(job)
 
 
-def test_cleanrl_has_a_line_for_each_task(monkeypatch):
-    """Ours, planted like theirs: in training 1,000 more than a seed, which is what they have."""
+def test_cleanrl_has_a_line_for_each_task_without_noise_and_in_training(monkeypatch):
+    """Planted: ours have 1,000 more than theirs, which is the seed; with noise 1 less than that."""
     monkeypatch.setattr(pages, "save", lambda *_: None)
     measured = study.read("race")
-    ours = [job for job in returns.CURVES if job.seed > 100]
-    planted = pd.DataFrame(ours).assign(steps=1_000_000, **{"return": 0.0})
-    planted["sampled"] = 1000.0 + planted["seed"]
+    ours = pd.DataFrame(returns.CURVES).eval("`return` = 1000.0 + seed")
+    jobs = pd.DataFrame([job for job in race.JOBS if job.change == "CleanRL"])
+    jobs = jobs.eval("`return` = 1.0 * seed")
+    ours, theirs = (x.assign(steps=1_000_000, sampled=x["return"] - 1) for x in (ours, jobs))
     read = study.read
-    monkeypatch.setattr(study, "read", lambda name: planted if name == "returns" else read(name))
-    jobs = [job for job in race.JOBS if job.change == "CleanRL"]
-    rows = pd.DataFrame(jobs).assign(steps=1_000_000, sampled=[job.seed for job in jobs])
-    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], rows]))["cleanrl"]
-    lines = [line for line in table.splitlines() if "CleanRL" in line]
-    assert len(lines) == 4
-    for line in lines:
-        assert "| 106 ± 3 (106) " in line
-        assert line.split("|")[-2].strip() == "**ours above** (p < 0.001)"
+    monkeypatch.setattr(study, "read", lambda name: ours if name == "returns" else read(name))
+    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], theirs]))["cleanrl"]
+    lines = [[x.strip() for x in line.split("|")] for line in table.splitlines()[2:]]
+    assert [line[2] for line in lines] == 4 * [
+        "CleanRL, without noise (10)", "CleanRL, in training (10)"]
+    assert [line[3] for line in lines] == 4 * ["106 ± 3 (106)", "104 ± 3 (104)"]
+    assert {line[-2] for line in lines} == {"**ours above** (p < 0.001)"}
 
 
 def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatch):
