@@ -1,0 +1,77 @@
+"""What README and results.md say in words, computed from the data; a test looks for each."""
+
+import ablation
+import compare
+import last_std
+import pandas as pd
+import race
+import returns
+import study
+from compare import number
+
+
+def of_runs():
+    """Of our runs on ten tasks."""
+    finals = study.final_rows(study.read("returns")).set_index("options")
+    humanoids = finals.loc[returns.TASKS["Humanoid-v5"], "return"]
+    yield f"Humanoid in {sum(humanoids > 2000)} of 10"
+    stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
+    yield f"5,000, which {stand} of 10 exceed"
+    yield f"{10 - stand} of 10 humanoids still fall"
+    for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "Swimmer":
+        runs = finals.loc[returns.TASKS[f"{task}-v5"]]
+        if task != "Swimmer":
+            yield f"{task} {compare.spread(runs['return'])}"
+        usual = runs["processor"] == returns.PROCESSOR
+        if not usual.all():
+            gain = compare.welch(runs.loc[~usual, "return"], runs.loc[usual, "return"])
+            yield f"{gain} ({task})"
+    walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
+    yield f"from {number(walkers.min())} to {number(walkers.max())}"
+    for options, runs in study.read("settings").groupby("options"):
+        if "Swimmer" in options or "Humanoid" in options:
+            yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
+    *_, (_, before, after) = last_std.falls(study.read("last_std"), study.read("returns"))
+    yield f"of the last {after.split()[2].rstrip(',')} evaluations {after.split()[0]} have a fall"
+    yield f"{before.split()[0]} had"
+
+
+def of_the_ablation():
+    rows = study.read("ablation")
+    effects = ablation.effects(rows, ablation.TABLES).set_index(["table", "change"])["gain"]
+    yield f"loses {-effects['double pendulum', '--clip-eps 1e9']:.0f}% of its return"
+    pendulums = rows.set_index(study.KEYS[:3]).loc[ablation.TABLES["double pendulum"][0][:3]]
+    low = pendulums["return"].min()
+    yield f"Of {len(pendulums)} other seeds one ends at {number(low)}, as one of ten poles falls"
+
+
+def of_peers():
+    ratios = study.read("speed").query("change == 'CleanRL'").pivot(
+        index=["options", "seed"], columns="learner", values="speed").eval("ours / CleanRL")
+    ratios = ratios.groupby("options").median()
+    yield f"{ratios.min():.0f} to {ratios.max():.0f} times as fast"
+    rows = study.read("race")
+    hoppers = study.final_rows(rows[rows[["options", "change"]].apply(tuple, axis=1)
+                                    == race.LEFT_OUT])
+    yield f"end at {number(hoppers['return'].min())} to {number(hoppers['return'].max())}"
+    tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
+             for trials in (earlier_trials(), later_trials())]
+    on_pendulum = sum(map(sum, tried))
+    yield (f"{sum(map(len, tried)) - on_pendulum} trainings on the first three tasks, "
+           f"{on_pendulum} on the double pendulum")
+
+
+def earlier_trials():
+    rows = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
+    return rows[rows["stage"] < 6]  # 6: other settings
+
+
+def later_trials():
+    rows = study.read("trials").query("script == @study.PPO")
+    return rows["options"].str.extract(r"--env-id (?P<env_id>\S+)")
+
+
+def claims():
+    yield from of_runs()
+    yield from of_the_ablation()
+    yield from of_peers()
