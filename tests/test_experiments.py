@@ -281,10 +281,10 @@ def test_cleanrl_has_a_line_for_each_task_without_noise_and_in_training(monkeypa
     """Planted: ours have 1,000 more than theirs, which is the seed; with noise 1 less than that."""
     monkeypatch.setattr(pages, "save", lambda *_: None)
     measured = study.read("race")
-    ours = pd.DataFrame(returns.CURVES).eval("`return` = 1000.0 + seed")
-    jobs = pd.DataFrame([job for job in race.JOBS if job.change == "CleanRL"])
-    jobs = jobs.eval("`return` = 1.0 * seed")
-    ours, theirs = (x.assign(steps=1_000_000, sampled=x["return"] - 1) for x in (ours, jobs))
+    ours = pd.DataFrame(returns.CURVES).assign(lead=1000.0)
+    jobs = pd.DataFrame([job for job in race.JOBS if job.change == "CleanRL"]).assign(lead=0.0)
+    ours, theirs = (x.assign(steps=1_000_000, sampled=x["seed"] + x["lead"] - 1,
+                             **{"return": x["seed"] + x["lead"]}) for x in (ours, jobs))
     read = study.read
     monkeypatch.setattr(study, "read", lambda name: ours if name == "returns" else read(name))
     table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], theirs]))["cleanrl"]
