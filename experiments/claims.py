@@ -3,6 +3,7 @@
 import ablation
 import compare
 import last_std
+import numpy as np
 import pandas as pd
 import race
 import returns
@@ -61,6 +62,25 @@ def of_peers():
            f"{on_pendulum} on the double pendulum")
 
 
+def of_cleanrl():
+    """Means against those of CleanRL, in training, after equal steps and after equal minutes."""
+    rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), study.read("race")])
+    tasks, _, learners = race.RACES["cleanrl"]
+    shares, leads = {}, []
+    for task in tasks:
+        curves = race.curves_of(learners, task, "sampled", rows)
+        ours, theirs = (curves[learner].groupby("steps")["return"].mean() for learner in learners)
+        shares[task] = ours[1] / theirs[1]
+        speeds = race.speeds_of(task)
+        done = speeds["CleanRL"] / speeds["ours"]  # of its steps, when ours has done all
+        leads.append((ours[1] - np.interp(done, theirs.index, theirs), done))
+    yield f"{shares['HalfCheetah-v5']:.1f} times what CleanRL's does on HalfCheetah"
+    yield f"{shares[returns.PENDULUM]:.1f} times on the double pendulum"
+    gains, done = zip(*leads)
+    yield f"{number(min(gains))} to {number(max(gains))} ahead"
+    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of its steps"
+
+
 def earlier_trials():
     rows = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
     return rows[rows["stage"] < 6]  # 6: other settings
@@ -75,3 +95,4 @@ def claims():
     yield from of_runs()
     yield from of_the_ablation()
     yield from of_peers()
+    yield from of_cleanrl()
