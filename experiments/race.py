@@ -114,7 +114,7 @@ def draw_race(name, rows):
         axis.set_ylabel(f"return {WORDS[column]}")
     verdicts = list(compare.verdicts([gain for *_, gain in lines]))
     title = title_of(lines, verdicts) or "No difference"
-    picture.suptitle(f"{title} (significant; the rest may be chance; dots: seeds)", wrap=True)
+    picture.suptitle(f"{title}\n(significant; the rest may be chance; dots: seeds)", wrap=True)
     pages.save(picture, f"ppo_{name}")
     return pages.table(
         ["task", "peer (seeds)", "peer's return (median)", "ours (seeds)", "ours − peer's, 95%",
