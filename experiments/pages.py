@@ -52,6 +52,8 @@ def name_ends(axis, x, gap=0.07):
     ends = [line.get_ydata()[-1] for line in named]  # moved as little as the gaps allow:
     for line, place in zip(named, optimize.isotonic_regression(ends - shifts).x + shifts):
         axis.text(x, place, line.get_label(), va="center", size="small", color=line.get_color())
+    if axis.get_legend():
+        axis.get_legend().remove()
 
 
 def save(picture, name):
