@@ -37,8 +37,8 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
   6. Update the statistics that normalise observations. Start again at 1.
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
-gradient is less noisy, and one call of the networks serves N states (`make_envs`). But an update
-uses T·N steps, so with the same total, a larger N means fewer updates.
+gradient is less noisy, and one call of the networks serves N states. But an update uses T·N steps,
+so with the same total, a larger N means fewer updates. (In processes of their own: `make_envs`.)
 
 Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
@@ -152,7 +152,7 @@ class Transitions(NamedTuple):
     rewards: Tensor  # (T, N)
     next_obs: Tensor  # (T, N, D): what followed the action, even if the episode ended there
     terminated: Tensor  # (T, N), bool: the episode ended for good, so no reward can follow
-    done: Tensor  # (T, N), bool: terminated, or cut off by a time limit
+    done: Tensor  # (T, N), bool: terminated, or truncated, say by a time limit
 
 
 def rollout(envs, agent, obs, num_steps):
@@ -189,10 +189,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
+    Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
+    is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
+    But V is learned. With λ = 0, A_t = δ_t: little noise, but all of V's error. With λ = 1 all V in
+    between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
     episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
+    Other λ lie in between: the δ of k steps later counts λ^k as much.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -218,7 +221,8 @@ def policy_loss(log_probs, advantages):
 
     as, given s_t and a_t, A_t has nearly the same mean as the bracket and far less noise (nearly,
     since it discounts, and relies on V). The mean in the loss only rescales the gradient. The
-    actions must come from π as it is now, so a rollout serves for one step only.
+    actions must come from π as it is now, so a rollout serves for one step only. (Its first states
+    are due to older π: a small error, as one step changes π little.)
     """
     return -(advantages * log_probs).mean()
 
@@ -252,10 +256,9 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         sync     N·step
         async    N·step/cores + N·message        roughly, if all steps take equally long
 
-    Here cores are idle ones, at most N (other seeds take some), and a message there and back takes
-    some 0.04 ms. So async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, if a step takes
-    longer than 0.08 ms; with many, than 0.04. A step of LunarLander takes 0.03 ms, so there async
-    never pays. To find out for your own, run both and compare `seconds` in the logs.
+    Only idle cores count, at most N. On our machine a message there and back takes 0.04 ms, so
+    async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, from 0.08 ms a step on. A step of
+    LunarLander takes 0.03 ms, too little. For your own environment run both, and compare `seconds`.
 
     Evaluations are always sync: `evaluate` seeds the global generators of this process (np.random,
     …), so an environment that draws from them must live in it. Train such an environment sync, too:
@@ -298,7 +301,8 @@ class RandomPhysics(gym.Wrapper):
         with --randomize    219 ± 50      190 ± 42
 
     Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
-    It may pay where the real world is farther from the simulator.
+    It may pay where the real world is farther from the simulator. `policy_loss` still holds, as φ
+    is drawn with s_0; but V does not see φ either, so A is noisier.
 
     For another environment, put its name in place of LunarLander in `make_envs`, and its physics in
     place of the moon's five lines in `reset`: before the environment's own reset, which may build
@@ -353,7 +357,7 @@ def train(index, args, folder):
             rewards = batch.rewards.float() * args.reward_scale
             # 4. Estimate advantages and targets, which are constants in 5.
             with torch.no_grad():
-                # Not obs[1:], as the next row may be another episode's.
+                # V(next_obs) is not values[1:]: the next row may be another episode's.
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -450,7 +454,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property ignores our copy.
+                # Some environments draw from it. By getattr, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

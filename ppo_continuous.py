@@ -20,26 +20,27 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
     the critic  V(s)                        the mean, if π acts, of the *reward to go* from s on:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they owe little to
-the action at t and would mostly add noise. The *advantage* A of an action is how much higher G is,
-on average, after it than after an action drawn from π. Recorded steps, a *rollout*, give a noisy
-estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
-algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
-But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
+With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count. They usually owe
+little to the action at t. The *advantage* A of an action is how much higher G is, on average, after
+it than after an action drawn from π. Recorded steps, a *rollout*, give a noisy estimate: G − V(s).
+Actions with A > 0 become more likely, those with A < 0 less. Simpler algorithms, like A2C, take one
+gradient step on a rollout; PPO [1] takes many, so as to learn more. But a rollout only shows what
+its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal, linearly over the run: the learning rate to 0, σ, the exploration, from 0.6 to 0.2.
+  1. Anneal, linearly: the learning rate to 0; σ, which sets the exploration, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
-         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²),  ρ = π(a|s)/π_old(a|s)
-     with A standardised (mean 0, std 1). But before each step measure how far π has moved, as
-     KL(π_old ‖ π). Once it is above max_kl, skip the remaining steps and go on to 6.
+         −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
+     with A standardised. ρ = π(a|s)/π_old(a|s) says how much likelier an action has become; the
+     clip ends its pull once ρ has moved by ε in the direction of A (`policy_loss`). But before each
+     step measure how far π has moved. Once KL(π_old ‖ π) is above max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-2, 4 and 5 are PPO, except for max_kl and standardised A. These, the falling rate, 3, 6 and the
-initial weights are usual details [4]; less common are a schedule of σ, and tanh, which keeps
-actions in bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
+Steps 2, 4 and 5 are PPO. Usual additions [4] are steps 3 and 6, standardised A, the falling rate,
+the initial weights and max_kl; less usual ones a schedule of σ, and tanh, which keeps actions in
+bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -162,7 +163,7 @@ class Transitions(NamedTuple):
     rewards: Tensor  # (T, N)
     next_obs: Tensor  # (T, N, D): what followed the action, even if the episode ended there
     terminated: Tensor  # (T, N), bool: the episode ended for good, so no reward can follow
-    done: Tensor  # (T, N), bool: terminated, or cut off by a time limit
+    done: Tensor  # (T, N), bool: terminated, or truncated, say by a time limit
 
 
 def rollout(envs, agent, obs, num_steps):
@@ -188,13 +189,13 @@ def rollout(envs, agent, obs, num_steps):
 
 
 def scale_rewards(rewards, done, past_rewards, stats, gamma):
-    """3. Divide rewards (T, N) by the standard deviation, so far, of the sums
+    """3. Divide rewards (T, N) by the standard deviation of all F so far:
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    V predicts a sum of later rewards, not known yet. F adds up past ones instead, and usually
-    spreads about as much. While F does not vary, rewards stay as they are. `past_rewards` is F
-    before the first row, (N,) or 0. Returns the scaled rewards, and F after the last row.
+    V predicts a sum of later rewards, not known yet. F weighs past ones in the same way, so it
+    usually spreads about as much. While F does not vary, rewards stay as they are. `past_rewards`
+    is the F to start from, (N,) or 0. Returns the scaled rewards, and the F to go on from.
     """
     sums = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -216,10 +217,13 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    If V were exact, every λ would be right on average. With λ = 0, A_t = δ_t: little noise, but all
-    of V's error. With λ = 1 all V in between cancel. If the sum has n terms, this leaves
+    Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
+    is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
+    But V is learned. With λ = 0, A_t = δ_t: little noise, but all of V's error. With λ = 1 all V in
+    between cancel. If the sum has n terms, this leaves
     A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
     episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
+    Other λ lie in between: the δ of k steps later counts λ^k as much.
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -236,10 +240,11 @@ def policy_loss(ratio, advantages, clip_eps):
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
     Summed with weights γ^t over the states that π meets, this is the exact gain in discounted
-    return [5]. PPO takes the states that π_old has met instead, which is nearly the same
-    while π is near π_old, drops γ^t, and maximises E[ρ·A]. At ρ = 1, where an update starts, its
-    gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away the estimate gets worse,
-    so a sample drops out once ρ has gone far enough in the direction of A:
+    return [5]. PPO takes the states that π_old has met instead, which is nearly the same while π is
+    near π_old, drops γ^t, with which late steps would hardly count, and maximises E[ρ·A]. At ρ = 1,
+    where an update starts, its gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther
+    away the estimate gets worse, so a sample drops out once ρ has gone far enough in the direction
+    of A:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -253,12 +258,14 @@ def policy_loss(ratio, advantages, clip_eps):
 
 
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
-    """5. On all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
+    """5. Gradient steps on all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
     Returns metrics of the last minibatch; clip_fraction counts every ρ outside 1 ± ε, also those
     that keep their gradient. As π and π_old are Gaussians with the same σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
+
+    and averaged over states. It is 0.03, the limit, if K = 1 and μ has moved by about σ/4.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):
@@ -271,7 +278,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so the step ignores A's scale
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so minibatches count alike
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
             optimizer.step()
@@ -297,7 +304,7 @@ def train(index, args, folder):
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
         obs, _ = envs.reset(seed=make_seeds(seed, stream=2, count=args.num_envs))
         while env_step < args.total_steps:
-            # 1. Anneal: the smaller σ, the more a step in μ changes π, so the rate falls with it.
+            # 1. Anneal: ever less exploration, ever smaller steps.
             remaining = 1 - env_step / args.total_steps
             optimizer.param_groups[0]["lr"] = remaining * args.learning_rate
             agent.sigma.fill_(remaining * args.first_std + (1 - remaining) * args.last_std)
@@ -311,7 +318,7 @@ def train(index, args, folder):
             with torch.no_grad():
                 old_pi = agent.policy(batch.obs)
                 old_log_probs = old_pi.log_prob(batch.actions).sum(-1)
-                # Not obs[1:], as the next row may be another episode's.
+                # V(next_obs) is not values[1:]: the next row may be another episode's.
                 values, next_values = agent.value(batch.obs), agent.value(batch.next_obs)
             advantages = compute_gae(rewards, values, next_values, batch.terminated, batch.done,
                                      gamma=args.gamma, gae_lambda=args.gae_lambda)
@@ -427,7 +434,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property ignores our copy.
+                # Some environments draw from it. By getattr, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

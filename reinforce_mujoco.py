@@ -122,9 +122,9 @@ def play(env, agent):
         actions.append(agent.act(obs))
         obs, reward, terminated, truncated, _ = env.step(actions[-1])
         rewards.append(reward)
-    last_value = 0.0 if terminated else agent.value(torch.tensor(np.array(obs, float))).item()
-    all_obs = torch.tensor(np.array(all_obs, float))
-    return all_obs, torch.tensor(np.array(actions)), rewards, last_value
+    all_obs = torch.tensor(np.array([*all_obs, obs], float))
+    last_value = 0.0 if terminated else agent.value(all_obs[-1]).item()
+    return all_obs[:-1], torch.tensor(np.array(actions)), rewards, last_value
 
 
 def compute_rewards_to_go(rewards, last_value, gamma):
@@ -166,16 +166,17 @@ def policy_loss(log_probs, advantages):
 
         ∫ π·∇log π da = ∫ ∇π da = ∇∫ π da = ∇1 = 0
 
-    It stays 0 when multiplied by anything that is fixed by then: an earlier reward, or a number
-    b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the earlier
-    rewards, which add noise, and subtract b(s_t), which removes some: if b ≈ V, bad actions
-    get a negative factor, while without it positive rewards push up every action that was tried.
+    It stays 0 when multiplied by anything that is fixed by then: a reward r_i with i < t, or a
+    number b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the
+    earlier rewards, which add noise, and subtract b(s_t), which removes some: if b ≈ V, bad actions
+    get a negative factor, while without it positive rewards push up every action that was tried
+    (better ones more, so they still win, as probabilities sum to 1, but slowly and noisily).
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
     A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
     loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
-      - a mean over the batch's steps, not a sum, so long episodes make no larger gradients;
+      - a mean over the batch's steps, not a sum over an episode: nearly a mere rescaling;
       - γ < 1 counts late rewards less: some bias, less noise. [2] also multiplies by γ^t, which
         we leave out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
@@ -190,7 +191,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     # Detached, as the actor's loss must not train the critic.
     advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
     policy = agent.policy(obs)
-    log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: densities multiply
+    log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: log densities add
     loss_pi = policy_loss(log_probs, advantages)
     loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
@@ -215,7 +216,7 @@ def train(index, args, folder):
     make_repeatable(seed)  # again: what these draw when they are made must not change training
     with (closing(eval_envs), closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # not the vector, which resets by itself: `play` resets
+        (env,) = envs.envs  # the one in the vector, which would reset it: `play` does that
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -224,10 +225,10 @@ def train(index, args, folder):
             optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
             # 1. Play.
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
-            obs, actions, rewards, last_values = zip(*episodes)
+            obs, actions, rewards, _ = zip(*episodes)
             # 2. Compute the rewards to go.
-            rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
-                             for r, last_value in zip(rewards, last_values)]
+            rewards_to_go = [compute_rewards_to_go(rewards, last_value, args.gamma)
+                             for _, _, rewards, last_value in episodes]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -322,7 +323,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. Read again: a property ignores our copy.
+                # Some environments draw from it. By getattr, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 

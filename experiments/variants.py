@@ -49,7 +49,7 @@ CHANGES = {
     "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
     "fault-3": (PPO, [("return -torch.min(", "return torch.min(")]),
     "blank-rewards-to-go": (REINFORCE, [
-        ("0.0 if terminated else agent.value(torch.tensor(np.array(obs, float))).item()", "..."),
+        ("0.0 if terminated else agent.value(all_obs[-1]).item()", "..."),
         ("        G = reward + gamma * G\n", "        G = ...\n"),
         ('"none": 0.0, "mean": rewards_to_go.mean(), "value": values',
          '"none": ..., "mean": ..., "value": ...')]),
