@@ -53,6 +53,15 @@ def mean_value(module, args, weights):
     return np.mean(values)
 
 
+def cell(values, digits):
+    return ", ".join(number(x, digits) if round(x, digits) else "0" for x in values)
+
+
+def apart(some, others):
+    """Is each of some farther from each of the others than any two of the same kind are?"""
+    return np.abs(np.subtract.outer(some, others)).min() > max(np.ptp(some), np.ptp(others))
+
+
 def draw(rows):
     rows = rows.set_index(study.KEYS[:3]).sort_index()
     run, find = [], []
@@ -71,10 +80,11 @@ def draw(rows):
         run.append([exercise, name, compare.spread(returns[1]), compare.spread(returns[0]),
                     str(gain), compare.p_text(gain.p), verdict, *medians])
     for (column, digits), statistic in itertools.product(DIGITS.items(), WORDS):
-        cells = [rows.loc[(PPO, SHORT, change), f"{statistic} {column}"].round(digits)
-                 for change in FIND.values()]
-        find.append([f"{statistic} `{column}`", *(
-            ", ".join(number(x, digits) if x else "0" for x in values) for values in cells)])
+        right, *copies = (rows.loc[(PPO, SHORT, change), f"{statistic} {column}"].to_numpy()
+                          for change in FIND.values())
+        find.append([f"{statistic} `{column}`", cell(right, digits),
+                     *(f"**{cell(copy, digits)}**" if apart(copy, right) else cell(copy, digits)
+                       for copy in copies)])
     poles = {name: rows.loc[job[:3]].sort_values("seed")
              for name, job in (("without", POLE), ("with", with_change(POLE, RUN[9][2])))}
     value = [[name, *(f"{number(V, 1)}, {number(last)}" for V, last in zip(
