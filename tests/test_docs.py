@@ -53,10 +53,9 @@ def test_the_code_that_the_readme_shows_stands_in_the_file():
 def test_a_trained_agent_plays_in_code_of_your_own(tmp_path):
     (block,) = [x for x in SNIPPETS if "import ppo_continuous" in x]
     path = SCRIPTS["ppo_continuous"].train(tmp_path)
-    block = block.replace("runs/…/seed-1", str(path)).replace("range(1000)", "range(2)")
     played = {}
-    exec(block, played)
-    assert played["rewards"].shape == (1,)
+    exec(block.replace("runs/…/seed-1", str(path)), played)
+    assert played["terminated"] or played["truncated"]
 
 
 @pytest.mark.skipif("**Find**" not in TEXT, reason="a students' copy, without answers")
@@ -71,7 +70,7 @@ def test_exercise_4_and_its_answer_run(tmp_path, capsys):
 
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
-             "--array", "--wrap", "--tb", "--with-requirements",  # of diff, torchrun, SLURM, uv
+             "--array", "--wrap", "--tb", "--with", "--with-requirements",  # of diff, torchrun, SLURM, uv
              "--quick", "--again"}  # of a study
     for script in SCRIPTS.values():
         known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
