@@ -18,7 +18,7 @@ def of_runs():
     yield f"Humanoid in {sum(humanoids > 2000)} of 10"
     stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
     yield f"5,000, which {stand} of 10 exceed"
-    yield f"{10 - stand} of 10 humanoids still fall"
+    yield f"{10 - stand} of 10 humanoids earn less than standing still"
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "Swimmer":
         runs = finals.loc[returns.TASKS[f"{task}-v5"]]
         if task != "Swimmer":
