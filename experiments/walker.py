@@ -1,6 +1,6 @@
 """What helps stable-baselines3 on Walker2d? Its differences from ours, one by one and together.
 
-Ours as they are are those of `returns`. Forty minutes on two cores.
+Forty minutes on two cores.
 """
 
 import compare
@@ -11,7 +11,7 @@ from returns import TASKS
 from study import PPO, Job
 
 TASK = "Walker2d-v5"
-CHANGES = {"σ learned": ("", "sigma-learned"), "no tanh, actions clipped": ("", "no-tanh"),
+CHANGES = {"none": ("", ""), "σ learned": ("", "sigma-learned"), "no tanh, actions clipped": ("", "no-tanh"),
            "gradients clipped at 0.5": ("", "gradients-clipped"),
            "no KL limit": (" --max-kl 1e9", ""),
            "all four": (" --max-kl 1e9", "like-sb3")}
