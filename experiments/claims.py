@@ -27,8 +27,10 @@ def of_runs():
         if not usual.all():
             gain = compare.welch(runs.loc[~usual, "return"], runs.loc[usual, "return"])
             yield f"{gain} ({task})"
-    walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
+    walkers = finals.loc[returns.TASKS["Walker2d-v5"]].set_index("seed")["return"].sort_index()
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
+    yield f"first ten have {compare.spread(walkers[:10])}"
+    yield f"ten more, {compare.spread(walkers[10:])}"
     for options, runs in study.read("settings").groupby("options"):
         if "Swimmer" in options or "Humanoid" in options:
             yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
