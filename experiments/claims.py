@@ -80,7 +80,7 @@ def of_cleanrl():
     yield f"{shares[returns.PENDULUM]:.1f} times on the double pendulum"
     gains, done = zip(*leads)
     yield f"{number(min(gains))} to {number(max(gains))} ahead"
-    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of its steps"
+    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of them"
 
 
 def earlier_trials():
