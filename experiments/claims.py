@@ -27,16 +27,15 @@ def of_runs():
         if not usual.all():
             gain = compare.welch(runs.loc[~usual, "return"], runs.loc[usual, "return"])
             yield f"{gain} ({task})"
-    walkers = finals.loc[returns.TASKS["Walker2d-v5"]].set_index("seed")["return"].sort_index()
+    walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
-    yield f"first ten have {compare.spread(walkers[:10])}"
-    yield f"ten more, {compare.spread(walkers[10:])}"
+    more = study.read("walker").set_index(["options", "change"])["return"]
+    yield f"fifteen more, which have {compare.spread(more[returns.TASKS['Walker2d-v5'], ''])}"
     for options, runs in study.read("settings").groupby("options"):
         if "Swimmer" in options or "Humanoid" in options:
             yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
     *_, (_, before, after) = last_std.falls(study.read("last_std"), study.read("returns"))
-    yield f"of the last {after.split()[2].rstrip(',')} evaluations {after.split()[0]} have a fall"
-    yield f"{before.split()[0]} had"
+    yield f"{after.split()[3]} of 10 runs have a fall; {before.split()[3]} of 10 had"
 
 
 def of_the_ablation():
@@ -77,7 +76,6 @@ def of_cleanrl():
         done = speeds["CleanRL"] / speeds["ours"]  # of its steps, when ours has done all
         leads.append((ours[1] - np.interp(done, theirs.index, theirs), done))
     yield f"{shares['HalfCheetah-v5']:.1f} times what CleanRL's does on HalfCheetah"
-    yield f"{shares[returns.PENDULUM]:.1f} times on the double pendulum"
     gains, done = zip(*leads)
     yield f"{number(min(gains))} to {number(max(gains))} ahead"
     yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of them"

@@ -42,6 +42,9 @@ CHANGES = {
          "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
         ("            agent.sigma.fill_(remaining * args.first_std + "
          "(1 - remaining) * args.last_std)\n", "")]),
+    "gradients-clipped": (PPO, [(
+        "loss_v).backward()  # each trains its own network\n",
+        "loss_v).backward()\n            nn.utils.clip_grad_norm_(agent.parameters(), 0.5)\n")]),
     "time-limits-as-deaths": (PPO, [(
         "next_values, batch.terminated, batch.done,", "next_values, batch.done, batch.done,")]),
     "fault-1": (PPO, [(
@@ -61,6 +64,8 @@ CHANGES = {
         ("rewards + gamma * next_values * ~terminated - values  # at first only δ", "..."),
         ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
 }
+CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradients-clipped")
+                            for pair in CHANGES[name][1]]
 
 
 def changed(file, name=""):
