@@ -57,8 +57,8 @@ def draw_steps(axis, curves, learners, **labels):
     for i, (learner, curve) in enumerate(curves.items(), start=1):
         _, color, dashes = learners[learner]
         mean = curve.groupby("steps")["return"].mean()
-        axis.plot(mean, color=color, ls=dashes, lw=3, label=learner)
         finals = curve.loc[curve["steps"] == 1, "return"]
+        axis.plot(mean, color=color, ls=dashes, lw=3, label=f"{learner} ({len(finals)})")
         axis.plot(np.full(len(finals), 1 + 0.04 * i), finals, "o", color=color, ms=5, alpha=0.6)
     axis.set(xlabel="million steps", xticks=[0, 0.5, 1], **labels)
     pages.name_ends(axis, x=1.06 + 0.04 * i)
@@ -107,7 +107,7 @@ def draw_race(name, rows):
         for axis, column in zip(panels[:, i], columns):
             curves = curves_of(learners, task, column, rows)
             draw_steps(axis, curves, learners, title=task)
-            word = f", {WORDS[column]}" if len(columns) > 1 else ""
+            word = f" {WORDS[column]}" if len(columns) > 1 else ""
             lines += lines_of(task, word, curves)
         draw_minutes(panels[-1, i], curves_of(learners, task, columns[0], rows), learners, task)
     for axis, column in zip(panels[:, 0], [*columns, columns[0]]):

@@ -290,7 +290,7 @@ def test_cleanrl_has_a_line_for_each_task_without_noise_and_in_training(monkeypa
     table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], theirs]))["cleanrl"]
     lines = [[x.strip() for x in line.split("|")] for line in table.splitlines()[2:]]
     assert [line[2] for line in lines] == 4 * [
-        "CleanRL, without noise (10)", "CleanRL, in training (10)"]
+        "CleanRL without noise (10)", "CleanRL in training (10)"]
     assert [line[3] for line in lines] == 4 * ["106 ± 3 (106)", "104 ± 3 (104)"]
     assert {line[-2] for line in lines} == {"**ours above** (p < 0.001)"}
 
