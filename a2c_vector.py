@@ -38,9 +38,9 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states. But an update uses T·N steps,
-so with the same total, a larger N means fewer updates. (In processes of their own: `make_envs`.)
+so with the same total, a larger N means fewer updates. When a process for each pays: `make_envs`.
 
-Points 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
+Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
@@ -221,8 +221,8 @@ def policy_loss(log_probs, advantages):
 
     as, given s_t and a_t, A_t has nearly the same mean as the bracket and far less noise (nearly,
     since it discounts, and relies on V). The mean in the loss only rescales the gradient. The
-    actions must come from π as it is now, so a rollout serves for one step only. (Its first states
-    are due to older π: a small error, as one step changes π little.)
+    actions must come from π as it is now, so a rollout serves for one step only. (The states in
+    which it begins are due to older π, which differ little.)
     """
     return -(advantages * log_probs).mean()
 
@@ -454,7 +454,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. By getattr, as a property ignores our copy.
+                # Some draw from it. Seed the one in force, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

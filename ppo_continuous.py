@@ -434,7 +434,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. By getattr, as a property ignores our copy.
+                # Some draw from it. Seed the one in force, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
 

@@ -169,8 +169,8 @@ def policy_loss(log_probs, advantages):
     It stays 0 when multiplied by anything that is fixed by then: a reward r_i with i < t, or a
     number b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the
     earlier rewards, which add noise, and subtract b(s_t), which removes some: if b ≈ V, bad actions
-    get a negative factor, while without it positive rewards push up every action that was tried
-    (better ones more, so they still win, as probabilities sum to 1, but slowly and noisily).
+    get a negative factor, while without it positive rewards push up every action that was tried.
+    (Better ones are pushed more, and win, because probabilities sum to 1, but with more noise.)
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
@@ -227,8 +227,8 @@ def train(index, args, folder):
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
             obs, actions, rewards, _ = zip(*episodes)
             # 2. Compute the rewards to go.
-            rewards_to_go = [compute_rewards_to_go(rewards, last_value, args.gamma)
-                             for _, _, rewards, last_value in episodes]
+            rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
+                             for _, _, r, last_value in episodes]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -323,7 +323,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some environments draw from it. By getattr, as a property ignores our copy.
+                # Some draw from it. Seed the one in force, as a property ignores our copy.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
