@@ -15,7 +15,8 @@ def of_runs():
     """Of our runs on ten tasks."""
     finals = study.final_rows(study.read("returns")).set_index("options")
     humanoids = finals.loc[returns.TASKS["Humanoid-v5"], "return"]
-    yield f"Humanoid in {sum(humanoids > 2000)} of 10"
+    yield (f"is learned in {sum(humanoids > 2000)} of 10 runs (they end above 2,000), with "
+           f"a median of {compare.median(humanoids).replace('(', '(95%: ')}")
     stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
     yield f"5,000, which {stand} of 10 exceed"
     yield f"{10 - stand} of 10 humanoids earn less than standing still"
@@ -30,7 +31,9 @@ def of_runs():
     walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
     more = study.read("walker").set_index(["options", "change"])["return"]
-    yield f"fifteen more, which have {compare.spread(more[returns.TASKS['Walker2d-v5'], ''])}"
+    more = more[returns.TASKS["Walker2d-v5"], ""]
+    yield (f"have {compare.spread(more)}, by chance the same mean as sb3's, and all twenty-five "
+           f"{compare.spread([*walkers, *more])}")
     for options, runs in study.read("settings").groupby("options"):
         if "Swimmer" in options or "Humanoid" in options:
             yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
@@ -66,19 +69,19 @@ def of_peers():
 def of_cleanrl():
     """Means against those of CleanRL, in training, after equal steps and after equal minutes."""
     rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), study.read("race")])
-    tasks, _, learners = race.RACES["cleanrl"]
     leads = []
-    for task in tasks:
-        curves = race.curves_of(learners, task, "sampled", rows)
-        ours, theirs = (curves[learner].groupby("steps")["return"].mean() for learner in learners)
+    for task in race.TASKS:
+        curves = race.curves_of(task, rows, "sampled")
+        ours, theirs = (curves[learner].groupby("steps")["return"].mean()
+                        for learner in ("ours", "CleanRL"))
         if task == "HalfCheetah-v5":
-            yield f"{ours[1] / theirs[1]:.1f} times what CleanRL's does on HalfCheetah"
+            yield f"{ours[1] / theirs[1]:.1f} times what CleanRL's does"
         speeds = race.speeds_of(task)
         done = speeds["CleanRL"] / speeds["ours"]  # of its steps, when ours has done all
         leads.append((ours[1] - np.interp(done, theirs.index, theirs), done))
     gains, done = zip(*leads)
     yield f"{number(min(gains))} to {number(max(gains))} ahead"
-    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of them"
+    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of our steps"
 
 
 def earlier_trials():

@@ -73,10 +73,3 @@ def marked(p_values):
     known = [p for p in p_values if p == p]
     holds = dict(zip(known, holm(known)))
     return ["" if p != p else f"**{p_text(p)}**" if holds[p] else p_text(p) for p in p_values]
-
-
-def verdicts(gains):
-    """Of each difference; who leads after Holm's correction is bold."""
-    for gain, holds in zip(gains, holm([gain.p for gain in gains])):
-        side = f"**ours {'above' if gain.gain > 0 else 'below'}**" if holds else "cannot tell"
-        yield f"{side} (p {p_text(gain.p)})"

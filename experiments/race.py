@@ -14,13 +14,10 @@ import study
 from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
-WORDS = {"return": "without noise", "sampled": "in training"}
-RACES = {  # tasks; what is compared; learners: the change of their rows, colour, dashes
-    "race": (TASKS[:3], ["return"], {
-        "ours": ("ours", "C0", "-"), "sb3, defaults": ("defaults", "C1", "--"),
-        "sb3, zoo": ("zoo", "C2", ":"), "sb3, our sizes": ("our sizes", "C4", "-.")}),
-    "cleanrl": (TASKS, ["return", "sampled"], {
-        "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "C3", "--")})}
+LEARNERS = {  # the change of their rows, colour, dashes
+    "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "C3", (0, (5, 1))),
+    "sb3, defaults": ("defaults", "C1", "--"), "sb3, zoo": ("zoo", "C2", ":"),
+    "sb3, our sizes": ("our sizes", "C4", "-.")}
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
@@ -30,15 +27,21 @@ JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for seed in range(101, 111) for task in TASKS)]
 
 
-def curves_of(learners, task, column, rows):
+def curves_of(task, rows, column="return"):
     """Of each learner and seed: the mean of its evaluations, of 50,000 steps at a time."""
     runs = rows[(rows["options"] == returns.TASKS[task]) & (rows["steps"] > 25_000)]
     runs = runs.assign(steps=(runs["steps"] / 50_000).round() / 20).dropna(subset=column)
     curves = {}
-    for learner, (change, *_) in learners.items():
+    for learner, (change, *_) in LEARNERS.items():
         seeds = runs[runs["change"] == change].groupby(["seed", "steps"])
         curves[learner] = seeds[column].mean().rename("return").reset_index()
     return {learner: curve for learner, curve in curves.items() if len(curve)}
+
+
+def finals_of(task, rows, column="return"):
+    """Of each learner: the last points of its curves, one for each seed."""
+    curves = curves_of(task, rows, column)
+    return {learner: curve.loc[curve["steps"] == 1, "return"] for learner, curve in curves.items()}
 
 
 def speeds_of(task):
@@ -52,80 +55,80 @@ def speeds_of(task):
     return {**usual, "ours": ours, "CleanRL": ours * ratio}
 
 
-def draw_steps(axis, curves, learners, **labels):
-    """Means against steps; at the end a dot for each seed."""
-    for i, (learner, curve) in enumerate(curves.items(), start=1):
-        _, color, dashes = learners[learner]
-        mean = curve.groupby("steps")["return"].mean()
-        finals = curve.loc[curve["steps"] == 1, "return"]
-        axis.plot(mean, color=color, ls=dashes, lw=3, label=f"{learner} ({len(finals)})")
-        axis.plot(np.full(len(finals), 1 + 0.04 * i), finals, "o", color=color, ms=5, alpha=0.6)
-    axis.set(xlabel="million steps", xticks=[0, 0.5, 1], **labels)
-    pages.name_ends(axis, x=1.06 + 0.04 * i)
+def draw_curves(rows):
+    """Means against steps, at the end a dot for each seed; below, against minutes."""
+    picture, panels = pages.figure(16, 8, 2, 4, sharey="col")
+    for above, below, task in zip(panels[:4], panels[4:], TASKS):
+        for i, (learner, curve) in enumerate(curves_of(task, rows).items(), start=1):
+            change, color, dashes = LEARNERS[learner]
+            mean = curve.groupby("steps")["return"].mean()
+            finals = curve.loc[curve["steps"] == 1, "return"]
+            above.plot(mean, color=color, ls=dashes, lw=3, label=learner)
+            above.plot(np.full(len(finals), 1 + 0.05 * i), finals, "o", color=color, ms=6,
+                       alpha=0.6)
+            minutes = 1e6 * mean.index / speeds_of(task)[change] / 60
+            below.plot(minutes, mean, color=color, ls=dashes, lw=3)
+        above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
+        below.set(xscale="log", xlabel="minutes (log scale)")
+        below.xaxis.set_major_formatter("{x:g}")
+        below.minorticks_off()
+    for axis in panels[::4]:
+        axis.set_ylabel("return without noise")
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return picture
 
 
-def draw_minutes(axis, curves, learners, task):
-    """Means against minutes."""
-    speeds = speeds_of(task)
-    for learner, curve in curves.items():
-        change, color, dashes = learners[learner]
-        mean = curve.groupby("steps")["return"].mean()
-        axis.plot(1e6 * mean.index / speeds[change] / 60, mean, color=color, ls=dashes, lw=3)
-    axis.set(xscale="log", xlabel="minutes (log scale)")
-    axis.xaxis.set_major_formatter("{x:g}")
-    axis.minorticks_off()
+def lines_of(rows, column="return"):
+    """Of a table, one for each task and peer: both, their returns, and the difference."""
+    for task in TASKS:
+        finals = finals_of(task, rows, column)
+        ours = finals.pop("ours")
+        for peer, theirs in finals.items():
+            yield task[:-3], peer, ours, theirs, compare.welch(ours, theirs)
 
 
-def lines_of(task, word, curves):
-    """Of the table, one for each peer, from the last points of the curves; at its end the gain."""
-    finals = {learner: curve.loc[curve["steps"] == 1, "return"]
-              for learner, curve in curves.items()}
-    ours = finals.pop("ours")
-    for peer, theirs in finals.items():
-        yield [task[:-3], f"{peer}{word} ({len(theirs)})",
-               f"{compare.spread(theirs)} ({compare.number(theirs.median())})",
-               f"{compare.spread(ours)} ({len(ours)})", compare.welch(ours, theirs)]
+def returns_table(lines, holds):
+    """A line for each task, a column for each learner; bold: significantly unlike ours."""
+    cells = {}
+    for (task, peer, ours, theirs, _), different in zip(lines, holds):
+        text = [f"{compare.spread(x)} ({len(x)})" for x in (ours, theirs)]
+        cells[task, "ours"], cells[task, peer] = text[0], f"**{text[1]}**" if different else text[1]
+    return pages.table(["task", *LEARNERS], [[task[:-3], *(
+        cells.get((task[:-3], learner), "") for learner in LEARNERS)] for task in TASKS])
 
 
-def title_of(lines, verdicts):
-    """On which task ours are significantly above whom, or below."""
-    leads = {}
-    for (task, peer, *_), verdict in zip(lines, verdicts):
-        if "ours" in verdict:
-            side = "above" if "above" in verdict else "below"
-            leads.setdefault(f"{task}: ours {side}", []).append(peer.rsplit(" (")[0])
-    return "; ".join(f"{side} {' and '.join(peers)}" for side, peers in leads.items())
-
-
-def draw_race(name, rows):
-    """Returns its table."""
-    (tasks, columns, learners), lines = RACES[name], []
-    height = len(columns) + 1
-    picture, panels = pages.figure(4.5 * len(tasks), 4.2 * height, height, len(tasks), sharey="col")
-    panels = panels.reshape(height, -1)
-    for i, task in enumerate(tasks):
-        for axis, column in zip(panels[:, i], columns):
-            curves = curves_of(learners, task, column, rows)
-            draw_steps(axis, curves, learners, title=task)
-            word = f" {WORDS[column]}" if len(columns) > 1 else ""
-            lines += lines_of(task, word, curves)
-        draw_minutes(panels[-1, i], curves_of(learners, task, columns[0], rows), learners, task)
-    for axis, column in zip(panels[:, 0], [*columns, columns[0]]):
-        axis.set_ylabel(f"return {WORDS[column]}")
-    verdicts = list(compare.verdicts([gain for *_, gain in lines]))
-    title = title_of(lines, verdicts) or "No difference"
-    picture.suptitle(f"{title}\n(significant; the rest may be chance; dots: seeds)", wrap=True)
-    pages.save(picture, f"ppo_{name}")
+def differences_table(lines, p_values):
     return pages.table(
         ["task", "peer (seeds)", "peer's return (median)", "ours (seeds)", "ours − peer's, 95%",
-         "verdict"],
-        [[*line, end] for line, end in zip(lines, verdicts)])
+         "p"],
+        [[task, f"{peer} ({len(theirs)})",
+          f"{compare.spread(theirs)} ({compare.number(theirs.median())})",
+          f"{compare.spread(ours)} ({len(ours)})", gain, p]
+         for (task, peer, ours, theirs, gain), p in zip(lines, p_values)])
+
+
+def title_of(lines, holds):
+    """On which task ours are significantly above whom, or below."""
+    leads = {}
+    for (task, peer, *_, gain), different in zip(lines, holds):
+        if different:
+            side = f"{task}: ours {'above' if gain.gain > 0 else 'below'}"
+            leads.setdefault(side, []).append(peer.replace(",", ""))
+    return "; ".join(f"{side} {', '.join(peers)}" for side, peers in leads.items())
 
 
 def draw(rows):
     rows = rows[rows[["options", "change"]].apply(tuple, axis=1) != LEFT_OUT]
     rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), rows])
-    return {name: draw_race(name, rows) for name in RACES}
+    lines, in_training = list(lines_of(rows)), list(lines_of(rows, "sampled"))
+    p_values = [gain.p for *_, gain in [*lines, *in_training]]  # corrected for all of them
+    holds, marked = compare.holm(p_values), compare.marked(p_values)
+    picture = draw_curves(rows)
+    title = title_of(lines, holds) or "No difference"
+    picture.suptitle(f"{title}\n(significant; the rest may be chance; dots: seeds)", wrap=True)
+    pages.save(picture, "ppo_race")
+    return {"race": returns_table(lines, holds), "differences": differences_table(lines, marked),
+            "in training": differences_table(in_training, marked[len(lines):])}
 
 
 if __name__ == "__main__":

@@ -67,9 +67,8 @@ def task_line(task, rows):
     finals, untrained = study.final_rows(rows), rows.groupby("seed")["return"].first().max()
     returned, digits = finals["return"], int(abs(finals["return"].mean()) < 100)
     usual = finals[finals["processor"] == PROCESSOR]
-    return [task, compare.spread(returned, digits), compare.median(returned, digits),
-            number(untrained, digits), at_threshold(task, rows),
-            number(usual["seconds"].median() / 60, 1)]
+    return [task, compare.spread(returned, digits), number(untrained, digits),
+            at_threshold(task, rows), number(usual["seconds"].median() / 60, 1)]
 
 
 def script_line(script, runs, typed):
@@ -89,8 +88,7 @@ def draw(rows):
         ["file", "task", "mean ± std", "lowest", "solved (95% interval)", "steps, median time"],
         [script_line(x, hundred.get_group(x), typed.get_group(x)) for x in SEEDS]),
         "ten tasks": pages.table(
-            ["task", "mean ± std", "median (95%)", "untrained, at best", "at threshold",
-             "median minutes"],
+            ["task", "mean ± std", "untrained, at best", "at threshold", "median minutes"],
             [task_line(task, runs) for task, runs in of_task.items()])}
 
 

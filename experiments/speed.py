@@ -13,7 +13,6 @@ from study import A2C, PPO, Job
 
 PEERS = {"defaults": ("defaults", {}), "8 environments": ("defaults", {"num_envs": 8}),
          "our sizes": ("our sizes", {}), "zoo": ("zoo", {})}  # for `peers.speed`
-SHORT = ("stepping alone", "defaults", "our sizes", "CleanRL")  # the others, in the first table
 RACES = {task: Job(script, f"--env-id {task} --total-steps 32768") for task, script in (
     ("HalfCheetah-v5", PPO), ("Hopper-v5", PPO), ("Walker2d-v5", PPO), ("LunarLander-v3", A2C))}
 CLEANRL = {task: Job(PPO, f"--env-id {task} --total-steps 32768", "CleanRL") for task in (
@@ -37,7 +36,7 @@ def measure(job):
 
 
 def lines(rows):
-    """A row for each task: our speed, divided by each other's that ran beside; their range."""
+    """A row for each task: our speed, and it divided by each other's that ran beside."""
     speeds = rows.pivot(index=["change", "options", "seed"], columns="learner", values="speed")
     ratios = speeds.rdiv(speeds["ours"], axis="index").groupby("options")
     low, middle, high = ratios.min(), ratios.median(), ratios.max()
@@ -45,7 +44,7 @@ def lines(rows):
         usual = speeds.xs(job.options, level="options")["ours"].get(job.change)
         line = {"task": f"{task}{', A2C' * (job.script == A2C)}",
                 "ours, steps a second": number(usual.median())}
-        for name in (*SHORT, *PEERS):
+        for name in ("CleanRL", *PEERS, "stepping alone"):
             if middle.loc[job.options, name] > 0:
                 line[f"÷ {'sb3, ' * (name in PEERS)}{name}"] = "{:.2f} ({:.2f} to {:.2f})".format(
                     *(x.loc[job.options, name] for x in (middle, low, high)))
@@ -54,7 +53,7 @@ def lines(rows):
 
 def draw(rows):
     found = pd.DataFrame(lines(rows)).fillna("")
-    more = found[["task", "÷ sb3, 8 environments", "÷ sb3, zoo"]]
+    more = found[["task", "÷ sb3, 8 environments", "÷ sb3, zoo", "÷ stepping alone"]]
     more, short = more[found["÷ sb3, zoo"] > ""], found.drop(columns=more.columns[1:])
     return {"speed": pages.table(short, short.to_numpy()),
             "more speeds": pages.table(more, more.to_numpy())}

@@ -9,7 +9,7 @@ import compare
 import pages
 import pandas as pd
 import study
-from race import BEST, RACES, curves_of
+from race import BEST, finals_of
 from returns import TASKS
 from study import PPO, Job
 
@@ -29,9 +29,7 @@ def draw(rows):
     found = rows.set_index(["options", "change", "seed"])["return"]
     more = found[TASKS[TASK], ""].sort_index()
     planned = study.final_rows(study.read("returns")).set_index("options").loc[TASKS[TASK]]
-    *_, learners = RACES["race"]
-    sb3 = curves_of(learners, TASK, "return", study.read("race"))[f"sb3, {BEST[TASK]}"]
-    sb3 = sb3.loc[sb3["steps"] == 1, "return"]
+    sb3 = finals_of(TASK, study.read("race"))[f"sb3, {BEST[TASK]}"]
     ours = {"101 to 110, as planned": planned["return"], "81 to 85": more.loc[:85],
             "111 to 120": more.loc[111:], "all 25": pd.concat([planned["return"], more])}
     gains = [compare.welch(returns, sb3) for returns in ours.values()]

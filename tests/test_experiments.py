@@ -152,11 +152,22 @@ def test_holms_correction():
         "**0.01**", "0.04", "", "0.03", "**0.005**"]
 
 
-def test_a_verdict_is_who_leads_after_holms_correction():
-    ours_gain = (5, 0.01), (-5, 1e-4), (5, 0.04), (5, 0.06)
-    assert list(compare.verdicts([compare.Difference(gain, 1, p) for gain, p in ours_gain])) == [
-        "**ours above** (p 0.01)", "**ours below** (p < 0.001)", "cannot tell (p 0.04)",
-        "cannot tell (p 0.06)"]
+def test_the_race_says_who_leads_after_holms_correction():
+    """Of planted returns: bold, and in the title, is what differs; a mark in the right cell."""
+    p_values = [0.01, 1e-4, 0.04, 0.06]
+    pairs = [("HalfCheetah", "CleanRL", 5), ("HalfCheetah", "sb3, zoo", -5),
+             ("Hopper", "CleanRL", 5), ("Walker2d", "CleanRL", 5)]
+    lines = [(task, peer, pd.Series([7, 9]), pd.Series([7 - gain, 9 - gain]),
+              compare.Difference(gain, 1, p)) for (task, peer, gain), p in zip(pairs, p_values)]
+    holds = compare.holm(p_values)
+    assert race.title_of(lines, holds) == "HalfCheetah: ours above CleanRL; " \
+        "HalfCheetah: ours below sb3 zoo"
+    cells = [line.split("|")[1:-1] for line in race.returns_table(lines, holds).splitlines()[2:]]
+    assert [[x.strip() for x in line] for line in cells] == [
+        ["HalfCheetah", "8 ± 1 (2)", "**3 ± 1 (2)**", "", "**13 ± 1 (2)**", ""],
+        ["Hopper", "8 ± 1 (2)", "3 ± 1 (2)", "", "", ""],
+        ["Walker2d", "8 ± 1 (2)", "3 ± 1 (2)", "", "", ""],
+        ["InvertedDoublePendulum", "", "", "", "", ""]]
 
 
 def test_at_a_threshold_is_a_run_whose_last_return_reaches_it():
@@ -176,8 +187,7 @@ def test_a_point_of_the_race_is_the_mean_of_evaluations_within_50000_steps():
     rows = pd.DataFrame({"options": "--env-id Hopper-v5 --total-steps 1e6", "change": "zoo",
                          "seed": 1, "steps": [1, 40_000, 60_000, 960_000, 980_000, 1_001_472],
                          "return": [0, 1, 3, 5, 7, 9]})
-    *_, learners = race.RACES["race"]
-    curve = race.curves_of(learners, "Hopper-v5", "return", rows)["sb3, zoo"]
+    curve = race.curves_of("Hopper-v5", rows)["sb3, zoo"]
     assert curve[["steps", "return"]].to_numpy().tolist() == [[0.05, 2], [0.95, 5], [1, 8]]
 
 
@@ -277,7 +287,7 @@ def test_cleanrls_own_file_is_run_and_what_it_logs_is_kept(tmp_path, monkeypatch
         peers.learn(job)
 
 
-def test_cleanrl_has_a_line_for_each_task_without_noise_and_in_training(monkeypatch):
+def test_cleanrl_is_compared_without_noise_and_in_training(monkeypatch):
     """Planted: ours have 1,000 more than theirs, which is the seed; with noise 1 less than that."""
     monkeypatch.setattr(pages, "save", lambda *_: None)
     measured = study.read("race")
@@ -287,12 +297,14 @@ def test_cleanrl_has_a_line_for_each_task_without_noise_and_in_training(monkeypa
                              **{"return": x["seed"] + x["lead"]}) for x in (ours, jobs))
     read = study.read
     monkeypatch.setattr(study, "read", lambda name: ours if name == "returns" else read(name))
-    table = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], theirs]))["cleanrl"]
-    lines = [[x.strip() for x in line.split("|")] for line in table.splitlines()[2:]]
-    assert [line[2] for line in lines] == 4 * [
-        "CleanRL without noise (10)", "CleanRL in training (10)"]
-    assert [line[3] for line in lines] == 4 * ["106 ± 3 (106)", "104 ± 3 (104)"]
-    assert {line[-2] for line in lines} == {"**ours above** (p < 0.001)"}
+    tables = race.draw(pd.concat([measured[measured["change"] != "CleanRL"], theirs]))
+    lines = {name: [[x.strip() for x in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
+             for name, table in tables.items()}
+    assert [line[1:3] for line in lines["race"]] == 4 * [["1,106 ± 3 (10)", "**106 ± 3 (10)**"]]
+    without = [line[2:4] for line in lines["differences"] if line[1] == "CleanRL (10)"]
+    assert without == 4 * [["106 ± 3 (106)", "1,106 ± 3 (10)"]]
+    assert [line[1:] for line in lines["in training"]] == 4 * [
+        ["CleanRL (10)", "104 ± 3 (104)", "1,104 ± 3 (10)", "1,000 ± 3", "**< 0.001**"]]
 
 
 def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatch):
