@@ -62,7 +62,7 @@ def draw_gains(details, order, tasks):
                       capsize=3)
         axis.plot(effect["gain"].where(effect["holds"]), effect.index, "o", color="C0", zorder=3)
         axis.axvline(0, color="grey")
-        axis.set(title=title, xlabel="gain, %", xlim=(-100, 35))
+        axis.set(title=title, xlabel="change in return, %", xlim=(-100, 35))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
     picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
                      f"worse, in {better} better (filled dots)\nhollow: may be chance, as so many "

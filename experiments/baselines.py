@@ -69,11 +69,14 @@ def draw(rows):
     for i, p in enumerate(compare.marked(tests[2:])):  # those of "none" compare it with itself
         lines[1 + i // 2][2 + i % 2] += f", p {p}"
     picture, (left, middle, right) = pages.figure(13, 5, 1, 3)
-    for axis, dots, title in ((left, variance, "variance of the gradient,\nrelative to none"),
+    below_1 = {name: variance[name] for name in BASELINES if name != "none"}
+    for axis, dots, title in ((left, below_1, "variance of the gradient\n(dotted: none)"),
                               (right, whole, "mean return\nover a run")):
         sns.pointplot(dots, errorbar=None, linestyle="none", marker="_", markersize=40, ax=axis)
         sns.swarmplot(dots, color="black", size=6, ax=axis)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
+    left.axhline(1, ls=":", lw=3)
+    left.set_ylim(0, 1.05)
     for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
         curve = curve.rename_axis("steps").melt(ignore_index=False, value_name="return")
         sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("ci", 95), seed=0,

@@ -40,7 +40,7 @@ def draw_tasks(of_task):
     picture, panels = pages.figure(11, 9, 2, 3)
     for axis, task, first in zip(panels, PANELS, 2 * (True, False, False)):
         runs = of_task[task].assign(millions=of_task[task]["steps"] / 1e6)
-        pages.curves(runs, "millions", axis, label="tests: each seed, their mean",
+        pages.curves(runs, "millions", axis, label="evaluation: each seed, mean",
                      xlabel="million steps" * (axis is panels[4]), ylabel="return" * first,
                      title=f"{task[:-3]}\n{at_threshold(task, runs)}")
         sampled = runs.groupby("millions")["sampled"].mean()
@@ -49,7 +49,7 @@ def draw_tasks(of_task):
             axis.axhline(STANDING[task], color="black", ls="--", lw=1.5,
                          label="standing still to the end")
         goal = gym.spec(task).reward_threshold
-        if goal is not None:
+        if goal is not None and goal < 1.25 * runs["return"].max():  # others: in the title alone
             axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
         axis.get_legend().remove()
     picture.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
@@ -58,7 +58,7 @@ def draw_tasks(of_task):
                          for task in PANELS)
     standing = sum(finals["Humanoid-v5"] > STANDING["Humanoid-v5"])
     picture.suptitle(f"One set of options: {cheetahs} of 10 cheetahs pass Gymnasium's "
-                     f"threshold,\n{sum(others)} hoppers, ants or swimmers do; "
+                     f"threshold,\n{sum(others) or 'no'} hoppers, ants or swimmers do; "
                      f"{standing} of 10 humanoids beat standing still")
     pages.save(picture, "ppo_returns")
 
