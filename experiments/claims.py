@@ -28,6 +28,11 @@ def of_runs():
         if not usual.all():
             gain = compare.welch(runs.loc[~usual, "return"], runs.loc[usual, "return"])
             yield f"{gain} ({task})"
+    of_tasks = study.read("returns").query("options in @returns.TASKS.values()")
+    first = of_tasks.groupby(["options", "seed"])["return"].first().groupby("options").max()
+    last = finals.loc[list(returns.TASKS.values()), "return"].groupby("options").min()
+    yield (f"on {sum(last > first)} of {len(last)} tasks every run ends above the best untrained "
+           "agent")
     walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
     more = study.read("walker").set_index(["options", "change"])["return"]
