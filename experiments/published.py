@@ -27,7 +27,9 @@ def beside_ours(other, finals):
     theirs = f"{number(other['mean'], digits)} ± {number(other['std'], digits)}"
     p = stats.ttest_ind_from_stats(ours.mean(), ours.std(), len(ours), other["mean"], other["std"],
                                    other["seeds"], equal_var=False).pvalue
-    return [other["task"], f"{theirs.removesuffix(' ± nan')} {other['source']}", other["handicap"],
+    of_seeds = f" ({other['seeds']:.0f})" if other["seeds"] == other["seeds"] else ""
+    return [other["task"], f"{theirs.removesuffix(' ± nan')}{of_seeds} {other['source']}",
+            other["handicap"],
             compare.spread(ours, digits), "training" if other["sampled"] else "evaluation"], p
 
 
@@ -72,7 +74,7 @@ def draw(published):
     for same_version, others in published.groupby("same_version"):
         lines, p_values = zip(*(beside_ours(other, finals) for _, other in others.iterrows()))
         tables["published" if same_version else "older versions"] = pages.table(
-            ["task", "published", "what to know", "ours", "in", "p"],
+            ["task", "published (seeds)", "what to know", "ours", "in", "p"],
             [[*line, p] for line, p in zip(lines, compare.marked(p_values))])
     return tables
 

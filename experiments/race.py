@@ -55,27 +55,49 @@ def speeds_of(task):
     return {**usual, "ours": ours, "CleanRL": ours * ratio}
 
 
-def draw_curves(rows):
-    """Means against steps, at the end a dot for each seed; below, against minutes."""
-    picture, panels = pages.figure(16, 8, 2, 4, sharey="col")
+def draw_steps(rows, lines, holds):
+    """Means against steps, at the end a dot for each seed; below, what ours earn more."""
+    picture, panels = pages.figure(16, 8, 2, 4)
+    peers_below = list(LEARNERS)[1:]
     for above, below, task in zip(panels[:4], panels[4:], TASKS):
         for i, (learner, curve) in enumerate(curves_of(task, rows).items(), start=1):
-            change, color, dashes = LEARNERS[learner]
-            mean = curve.groupby("steps")["return"].mean()
+            _, color, dashes = LEARNERS[learner]
             finals = curve.loc[curve["steps"] == 1, "return"]
-            above.plot(mean, color=color, ls=dashes, lw=3, label=learner)
+            above.plot(curve.groupby("steps")["return"].mean(), color=color, ls=dashes, lw=3,
+                       label=learner)
             above.plot(np.full(len(finals), 1 + 0.05 * i), finals, "o", color=color, ms=6,
                        alpha=0.6)
-            minutes = 1e6 * mean.index / speeds_of(task)[change] / 60
-            below.plot(minutes, mean, color=color, ls=dashes, lw=3)
+        for (of_task, peer, *_, gain), different in zip(lines, holds):
+            if of_task == task[:-3]:
+                _, color, _ = LEARNERS[peer]
+                below.errorbar(gain.gain, peers_below.index(peer), xerr=gain.margin, fmt="o",
+                               color=color, capsize=3, mfc=color if different else "white")
+        below.axvline(0, color="grey")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xscale="log", xlabel="minutes (log scale)")
-        below.xaxis.set_major_formatter("{x:g}")
-        below.minorticks_off()
-    for axis in panels[::4]:
-        axis.set_ylabel("return without noise")
+        below.set(xlabel="ours − peer's", yticks=[], ylim=(3.5, -0.5))
+    panels[0].set_ylabel("return without noise")
+    panels[4].set_yticks(range(4), peers_below)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
+
+
+def draw_minutes(rows):
+    """Means against minutes."""
+    picture, panels = pages.figure(16, 4.8, 1, 4)
+    for axis, task in zip(panels, TASKS):
+        speeds = speeds_of(task)
+        for learner, curve in curves_of(task, rows).items():
+            change, color, dashes = LEARNERS[learner]
+            mean = curve.groupby("steps")["return"].mean()
+            axis.plot(1e6 * mean.index / speeds[change] / 60, mean, color=color, ls=dashes, lw=3,
+                      label=learner)
+        axis.set(title=task[:-3], xscale="log", xlabel="minutes (log scale)")
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.minorticks_off()
+    panels[0].set_ylabel("return without noise")
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    picture.suptitle("A million steps of PPO take minutes: fewest with ours and sb3's our sizes")
+    pages.save(picture, "ppo_minutes")
 
 
 def lines_of(rows, column="return"):
@@ -123,9 +145,10 @@ def draw(rows):
     lines, in_training = list(lines_of(rows)), list(lines_of(rows, "sampled"))
     p_values = [gain.p for *_, gain in [*lines, *in_training]]  # corrected for all of them
     holds, marked = compare.holm(p_values), compare.marked(p_values)
-    picture = draw_curves(rows)
+    draw_minutes(rows)
+    picture = draw_steps(rows, lines, holds)
     title = title_of(lines, holds) or "No difference"
-    picture.suptitle(f"{title}\n(significant; the rest may be chance; dots: seeds)", wrap=True)
+    picture.suptitle(f"{title}\n(filled dots: significant; the rest may be chance)", wrap=True)
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds), "differences": differences_table(lines, marked),
             "in training": differences_table(in_training, marked[len(lines):])}
