@@ -15,7 +15,6 @@ SETTINGS = {  # options for other tasks: the script, the first of five seeds (0.
     "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2 --last-std 0.1": (PPO, 91),
     "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99": (A2C, 91),
     "--env-id my_module:HeldAcrobot-v0 --total-steps 1e5": (A2C, 91),
-    "--env-id MountainCar-v0 --total-steps 5e5": (A2C, 91),
 }
 JOBS = [Job(script, options, seed=first + i)
         for i in range(5) for options, (script, first) in SETTINGS.items()]
