@@ -38,7 +38,7 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states. But an update uses T·N steps,
-so with the same total, a larger N means fewer updates. When a process for each pays: `make_envs`.
+so with the same total, a larger N means fewer updates. (`make_envs`: when a process for each pays.)
 
 Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it would be mere rounding."""
+        """The standard deviation, or 1 for a constant, whose variance is only rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -191,11 +191,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
     is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
-    But V is learned. With λ = 0, A_t = δ_t: little noise, but all of V's error. With λ = 1 all V in
-    between cancel. If the sum has n terms, this leaves
-    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
-    Other λ lie in between: the δ of k steps later counts λ^k as much.
+    But V is learned, and λ trades its error for noise. If the sum has n terms,
+        λ = 0      A_t = δ_t: little noise, but all of V's error
+        λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
+                   with more noise and less of V's error; without any, if the episode terminates
+                   there (then this is REINFORCE with the baseline V)
+        otherwise  in between: the δ of k steps later counts λ^k as much
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -209,12 +210,12 @@ def policy_loss(log_probs, advantages):
     An episode has the probability p = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…, in which only
     the π depend on the weights, and ∇p = p·∇log p. So
 
-        ∇E[return] = Σ return·∇p = E[return·Σ_t ∇log π(a_t|s_t)]          Σ over all episodes
+        ∇E[return] = Σ return·∇p = E[return·Σ_t ∇log π(a_t|s_t)]          first Σ: over all episodes
 
     Given all that came before a_t, the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0.
-    It stays 0 when multiplied by what is fixed by then, like earlier rewards or V(s_t). So we leave
-    out the former and subtract the latter: the same mean, with less noise. (If all returns are near
-    200, without V every action is pushed up, with V only the better ones.)
+    It stays 0 when multiplied by what is fixed by then, like earlier rewards or V(s_t). So we drop
+    the earlier rewards and subtract V(s_t): the same mean, with less noise. (If all returns are
+    near 200, without V every action is pushed up, with V only the better ones.)
 
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]
                    ≈ E[Σ_t A_t·∇log π(a_t|s_t)]
@@ -229,7 +230,7 @@ def policy_loss(log_probs, advantages):
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
-    # Mean 0 (the mean acts as a baseline, like V) and standard deviation 1, so that c and the
+    # Mean 0 (it acts nearly as a baseline, like V) and standard deviation 1, so that c and the
     # actor's clipping suit rewards of any size.
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
@@ -256,7 +257,7 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         sync     N·step
         async    N·step/cores + N·message        roughly, if all steps take equally long
 
-    Only idle cores count, at most N. On our machine a message there and back takes 0.04 ms, so
+    Here cores are idle ones, at most N. On our machine a message there and back takes 0.04 ms, so
     async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, from 0.08 ms a step on. A step of
     LunarLander takes 0.03 ms, too little. For your own environment run both, and compare `seconds`.
 
@@ -273,8 +274,6 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     wrappers = [Tidy, gym.wrappers.RecordEpisodeStatistics]
     if args.randomize:
         wrappers.append(RandomPhysics)
-        if "LunarLander" not in args.env_id:
-            raise gym.error.Error("--randomize knows the physics of LunarLander only")
     envs = gym.make_vec(args.env_id, count, vectorization, wrappers=wrappers,
                         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -302,19 +301,24 @@ class RandomPhysics(gym.Wrapper):
 
     Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
     It may pay where the real world is farther from the simulator. `policy_loss` still holds, as φ
-    is drawn with s_0; but V does not see φ either, so A is noisier.
+    is drawn with s_0; but V does not see φ either, so A is noisier, and, as it relies on V, biased.
 
-    For another environment, put its name in place of LunarLander in `make_envs`, and its physics in
+    For another environment, put its name in place of LunarLander in `__init__`, and its physics in
     place of the moon's five lines in `reset`: before the environment's own reset, which may build
     the world from them. Draw from ranges as wide as your doubts (this moon allows a gravity between
-    −12 and 0, and recommends these winds). Only the environment's `__init__` checks such numbers
-    and derives others from them: check your ranges, and derive the others again. For CartPole:
+    −12 and 0, and recommends these winds). Often only the environment's `__init__` checks such
+    numbers and derives others from them: check your ranges, derive the others again. For CartPole:
 
         cart = self.unwrapped
         cart.length, cart.masspole = self.rng.uniform(0.3, 0.7), self.rng.uniform(0.05, 0.2)
         cart.total_mass = cart.masspole + cart.masscart
         cart.polemass_length = cart.masspole * cart.length
     """
+
+    def __init__(self, env):
+        super().__init__(env)
+        if "LunarLander" not in env.unwrapped.spec.id:
+            raise gym.error.Error("--randomize knows the physics of LunarLander only")
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
@@ -398,7 +402,7 @@ def parse_args(argv=None, known=None):
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations after a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
@@ -446,17 +450,18 @@ def make_repeatable(seed):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some classes share their spaces among all their environments. To seed one for an evaluation
-    would change what training draws from it, so each environment gets a copy.
+    Some environments draw from their spaces, and some classes share these among all environments.
+    Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some draw from it. Seed the one in force, as a property ignores our copy.
+                # Fetch it again: if it is a property, our copy is not the one that counts.
                 getattr(self.unwrapped, name).seed(seed + i)
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
+        # Where the vector has taken its mask out, {} is left, which some environments refuse.
+        return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -537,7 +542,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the training episodes between two updates. Below: each metric.
+    Pale: the mean return of the training episodes that ended in an update's batch. Below: metrics.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -569,8 +574,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes that must end, as in evaluations, end "
-              "after 1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+              "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

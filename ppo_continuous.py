@@ -20,12 +20,12 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
     the critic  V(s)                        the mean, if π acts, of the *reward to go* from s on:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count. They usually owe
-little to the action at t. The *advantage* A of an action is how much higher G is, on average, after
-it than after an action drawn from π. Recorded steps, a *rollout*, give a noisy estimate: G − V(s).
-Actions with A > 0 become more likely, those with A < 0 less. Simpler algorithms, like A2C, take one
-gradient step on a rollout; PPO [1] takes many, so as to learn more. But a rollout only shows what
-its own policy, π_old, did, so π must stay near π_old. One update:
+With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they usually owe
+little to the action at t. The *advantage* A of an action is how much higher G is, on average, if we
+take it in s and then follow π, than if we follow π from s on. A *rollout* of recorded steps gives a
+noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
+algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
+But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
 
   1. Anneal, linearly: the learning rate to 0; σ, which sets the exploration, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
@@ -33,14 +33,14 @@ its own policy, π_old, did, so π must stay near π_old. One update:
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
-     with A standardised. ρ = π(a|s)/π_old(a|s) says how much likelier an action has become; the
-     clip ends its pull once ρ has moved by ε in the direction of A (`policy_loss`). But before each
-     step measure how far π has moved. Once KL(π_old ‖ π) is above max_kl, go on to 6.
+     with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
+     the clip takes its gradient away once ρ > 1+ε and A > 0, or ρ < 1−ε and A < 0 (`policy_loss`).
+     Before each step see, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
+     max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Steps 2, 4 and 5 are PPO. Usual additions [4] are steps 3 and 6, standardised A, the falling rate,
-the initial weights and max_kl; less usual ones a schedule of σ, and tanh, which keeps actions in
-bounds. Left out: entropy bonus, and clipped rewards, gradients and value loss.
+Steps 2, 4 and 5 are PPO; the rest are additions, usual ones [4] but for two: a schedule of σ, and
+tanh, which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -112,7 +112,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 where it would be mere rounding."""
+        """The standard deviation, or 1 for a constant, whose variance is only rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -144,7 +144,7 @@ def mlp(inputs, hidden, outputs, last_gain):
 def squash(actions, space):
     """Map actions (N, K) of any size into the bounds of the action space.
 
-    To PPO this is a part of the environment: a is the action as drawn, and π(a|s) its density.
+    This is the environment's business: PPO sees the action a as drawn, and its density π(a|s).
     (The squashed action's density has one more factor, the same in π and π_old, so ρ is the same.)
     """
     share = (np.tanh(actions) + 1) / 2
@@ -219,11 +219,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 
     Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
     is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
-    But V is learned. With λ = 0, A_t = δ_t: little noise, but all of V's error. With λ = 1 all V in
-    between cancel. If the sum has n terms, this leaves
-    A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t): less of V's error, but more noise. If the
-    episode terminates there, A_t is what followed, minus V(s_t): REINFORCE with the baseline V.
-    Other λ lie in between: the δ of k steps later counts λ^k as much.
+    But V is learned, and λ trades its error for noise. If the sum has n terms,
+        λ = 0      A_t = δ_t: little noise, but all of V's error
+        λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
+                   with more noise and less of V's error; without any, if the episode terminates
+                   there (then this is REINFORCE with the baseline V)
+        otherwise  in between: the δ of k steps later counts λ^k as much
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -278,7 +279,8 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)  # so minibatches count alike
+            # One scale in all tasks; and the mean acts nearly as a baseline: less noise.
+            A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
             optimizer.step()
@@ -361,7 +363,7 @@ def parse_args(argv=None, known=None):
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations after a first one")
     add("--eval-episodes", type=in_range(int, 1), default=10, help="episodes of an evaluation")
     add("--num-envs", type=in_range(int, 1), default=16, help="environments stepped together")
     add("--rollout-steps", type=in_range(int, 1), default=128, help="steps per environment")
@@ -426,17 +428,18 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some classes share their spaces among all their environments. To seed one for an evaluation
-    would change what training draws from it, so each environment gets a copy.
+    Some environments draw from their spaces, and some classes share these among all environments.
+    Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some draw from it. Seed the one in force, as a property ignores our copy.
+                # Fetch it again: if it is a property, our copy is not the one that counts.
                 getattr(self.unwrapped, name).seed(seed + i)
-        return self.env.reset(seed=seed, options=options or None)[0], {}  # a mask leaves {} behind
+        # Where the vector has taken its mask out, {} is left, which some environments refuse.
+        return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
         obs, reward, terminated, truncated, _ = self.env.step(action)
@@ -517,7 +520,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the training episodes between two updates. Below: each metric.
+    Pale: the mean return of the training episodes that ended in an update's batch. Below: metrics.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -549,8 +552,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes that must end, as in evaluations, end "
-              "after 1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+              "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)

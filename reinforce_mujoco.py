@@ -177,10 +177,11 @@ def policy_loss(log_probs, advantages):
     A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
     loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
       - a mean over the batch's steps, not a sum over an episode: nearly a mere rescaling;
-      - γ < 1 counts late rewards less: some bias, less noise. [2] also multiplies by γ^t, which
-        we leave out, because late steps would hardly count;
+      - γ < 1 counts late rewards less: some bias, less noise. [2], which maximises E[G_0], also
+        multiplies by γ^t; we leave this out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
+    The value of this loss says nothing about progress, and need not fall: only its gradient counts.
     """
     return -(advantages * log_probs).mean()
 
@@ -216,7 +217,7 @@ def train(index, args, folder):
     make_repeatable(seed)  # again: what these draw when they are made must not change training
     with (closing(eval_envs), closing(make_envs(args, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # the one in the vector, which would reset it: `play` does that
+        (env,) = envs.envs  # without the vector around it, as `play` resets it itself
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -225,10 +226,10 @@ def train(index, args, folder):
             optimizer.param_groups[0]["lr"] = (1 - env_step / args.total_steps) * args.learning_rate
             # 1. Play.
             episodes = [play(env, agent) for _ in range(args.batch_episodes)]
-            obs, actions, rewards, _ = zip(*episodes)
+            obs, actions, rewards, last_values = zip(*episodes)
             # 2. Compute the rewards to go.
             rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
-                             for _, _, r, last_value in episodes]
+                             for r, last_value in zip(rewards, last_values)]
             # 3 and 4. Subtract the baseline, take a gradient step.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
                                torch.cat(rewards_to_go), args.baseline)
@@ -260,7 +261,7 @@ def parse_args(argv=None, known=None):
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations, plus a first one")
+    add("--num-evals", type=in_range(int, 1), default=20, help="evaluations after a first one")
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--batch-episodes", type=in_range(int, 1), default=4, help="episodes of a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
@@ -315,15 +316,15 @@ def make_envs(args, count, **kwargs):
 class Tidy(gym.Wrapper):
     """An environment that clips actions, insists on finite numbers, drops infos, owns its spaces.
 
-    Some classes share their spaces among all their environments. To seed one for an evaluation
-    would change what training draws from it, so a reset with a seed gives each environment a copy.
+    Some environments draw from their spaces, and some classes share these among all environments.
+    Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Some draw from it. Seed the one in force, as a property ignores our copy.
+                # Fetch it again: if it is a property, our copy is not the one that counts.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
@@ -413,7 +414,7 @@ def watch(path):
 def plot(folder):
     """Draw learning_curve.png; print the last evaluation of each seed.
 
-    Pale: the mean return of the training episodes between two updates. Below: each metric.
+    Pale: the mean return of the training episodes that ended in an update's batch. Below: metrics.
     """
     files = sorted(folder.glob("*.csv"), key=lambda file: int(file.stem.removeprefix("seed-")))
     log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
@@ -445,8 +446,8 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: episodes that must end, as in evaluations, end "
-              "after 1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
+        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+              "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
