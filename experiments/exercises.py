@@ -21,8 +21,9 @@ RUN = {  # number: what the answers call it, without, the change
     9: ("time is up: a fall", POLE, "time-limits-as-deaths")}
 SHORT = "--total-steps 32768"
 FIND = {"right": "", "10": "fault-1", "11": "fault-2", "12": "fault-3"}
-DIGITS = {"eval_return": 0, "return": 0, "value_loss": 2, "explained_variance": 2, "kl": 3,
-          "clip_fraction": 2}
+DIGITS = {"eval_return": 0, "return": 0, "value_loss": 3, "explained_variance": 2, "kl": 3,
+          "clip_fraction": 3}
+
 WORDS = "first", "median", "last"  # of the rows of a log
 JOBS = [*(with_change(job, change, seed) for seed in range(1, 6) for _, job, change in
           [*(("", job, "") for job in (LANDER, CHEETAH, POLE)), *RUN.values()]),
