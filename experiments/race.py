@@ -20,11 +20,18 @@ LEARNERS = {  # the change of their rows, colour, dashes
     "sb3, our sizes": ("our sizes", "C4", "-.")}
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
+LIKE_CLEANRL = (f"{returns.TASKS['HalfCheetah-v5']} --num-envs 1 --rollout-steps 2048 "
+                "--minibatch-size 64 --learning-rate 3e-4 --max-kl 1e9")
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for setting in ("defaults", "zoo", "our sizes")
           for seed in range(1, 11 if setting == BEST[task] else 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
-          for seed in range(101, 111) for task in TASKS)]
+          for seed in range(101, 111) for task in TASKS),
+        *(Job(study.PPO, LIKE_CLEANRL, "like-cleanrl", seed) for seed in range(101, 106))]
+
+
+def measure(job):
+    return peers.learn(job) if job.script == peers.FILE else study.train(job)[0]
 
 
 def curves_of(task, rows, column="return"):
@@ -155,4 +162,4 @@ def draw(rows):
 
 
 if __name__ == "__main__":
-    study.main([job for job in JOBS if peers.CLEANRL or job.change != "CleanRL"], draw, peers.learn)
+    study.main([job for job in JOBS if peers.CLEANRL or job.change != "CleanRL"], draw, measure)

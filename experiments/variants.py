@@ -66,6 +66,9 @@ CHANGES = {
 }
 CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradients-clipped")
                             for pair in CHANGES[name][1]]
+CHANGES["like-cleanrl"] = PPO, [
+    *((old, new.replace("0.6", "1.0")) for old, new in CHANGES["like-sb3"][1]),  # the first σ
+    ("args.learning_rate, fused=True)", "args.learning_rate, eps=1e-5, fused=True)")]
 
 
 def changed(file, name=""):
