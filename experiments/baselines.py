@@ -81,9 +81,10 @@ def draw(rows):
         curve = curve.rename_axis("steps").melt(ignore_index=False, value_name="return")
         sns.lineplot(curve.reset_index(), x="steps", y="return", errorbar=("ci", 95), seed=0,
                      ls=dashes, lw=3, label=name, ax=middle)
-    middle.set(title="return, mean of ten seeds\n(band: 95%, bootstrap)",
+    middle.set(title="return, mean of ten seeds\n(band: 95%; dotted: solved)",
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     pages.name_ends(middle, x=103_000)
+    middle.axhline(950, ls=":", color="black", lw=1.5)
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
     pages.save(picture, "baselines")
     return {"baselines": pages.table(

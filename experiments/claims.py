@@ -15,8 +15,8 @@ def of_runs():
     """Of our runs on ten tasks."""
     finals = study.final_rows(study.read("returns")).set_index("options")
     humanoids = finals.loc[returns.TASKS["Humanoid-v5"], "return"]
-    yield (f"is learned in {sum(humanoids > 2000)} of 10 runs (they end above 2,000), with "
-           f"a median of {compare.median(humanoids).replace('(', '(95%: ')}")
+    yield (f"above 2,000 in {sum(humanoids > 2000)} of 10 runs; the median of all is "
+           f"{compare.median(humanoids).replace('(', '(95%: ')}")
     stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
     yield f"5,000, which {stand} of 10 exceed"
     yield f"{10 - stand} of 10 humanoids earn less than standing still"
@@ -31,8 +31,8 @@ def of_runs():
     of_tasks = study.read("returns").query("options in @returns.TASKS.values()")
     first = of_tasks.groupby(["options", "seed"])["return"].first().groupby("options").max()
     last = finals.loc[list(returns.TASKS.values()), "return"].groupby("options").min()
-    yield (f"on {sum(last > first)} of {len(last)} tasks every run ends above the best untrained "
-           "agent")
+    yield (f"on {sum(last > first)} of {len(last)} tasks every run ends above the best first "
+           "evaluation")
     walkers = finals.loc[returns.TASKS["Walker2d-v5"], "return"]
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
     more = study.read("walker").set_index(["options", "change"])["return"]

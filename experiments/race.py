@@ -63,7 +63,7 @@ def speeds_of(task):
 
 
 def draw_steps(rows, lines, holds):
-    """Means against steps, at the end a dot for each seed; below, what ours earn more."""
+    """Means against steps, at the end a dash for each seed; below, what ours earn more."""
     picture, panels = pages.figure(16, 8, 2, 4)
     peers_below = list(LEARNERS)[1:]
     for above, below, task in zip(panels[:4], panels[4:], TASKS):
@@ -72,8 +72,7 @@ def draw_steps(rows, lines, holds):
             finals = curve.loc[curve["steps"] == 1, "return"]
             above.plot(curve.groupby("steps")["return"].mean(), color=color, ls=dashes, lw=3,
                        label=learner)
-            above.plot(np.full(len(finals), 1 + 0.05 * i), finals, "o", color=color, ms=6,
-                       alpha=0.6)
+            above.plot(np.full(len(finals), 1 + 0.06 * i), finals, "_", color=color, ms=9, mew=2)
         for (of_task, peer, *_, gain), different in zip(lines, holds):
             if of_task == task[:-3]:
                 _, color, _ = LEARNERS[peer]
@@ -89,15 +88,17 @@ def draw_steps(rows, lines, holds):
 
 
 def draw_minutes(rows):
-    """Means against minutes."""
+    """Means against minutes, at the end a dash for each seed."""
     picture, panels = pages.figure(16, 4.8, 1, 4)
     for axis, task in zip(panels, TASKS):
         speeds = speeds_of(task)
         for learner, curve in curves_of(task, rows).items():
             change, color, dashes = LEARNERS[learner]
             mean = curve.groupby("steps")["return"].mean()
-            axis.plot(1e6 * mean.index / speeds[change] / 60, mean, color=color, ls=dashes, lw=3,
-                      label=learner)
+            minutes = 1e6 * mean.index / speeds[change] / 60
+            axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
+            finals = curve.loc[curve["steps"] == 1, "return"]
+            axis.plot(np.full(len(finals), minutes[-1]), finals, "_", color=color, ms=9, mew=2)
         axis.set(title=task[:-3], xscale="log", xlabel="minutes (log scale)")
         axis.xaxis.set_major_formatter("{x:g}")
         axis.minorticks_off()

@@ -88,7 +88,7 @@ def draw(rows):
         ["file", "task", "mean ± std", "lowest", "solved (95% interval)", "steps, median time"],
         [script_line(x, hundred.get_group(x), typed.get_group(x)) for x in SEEDS]),
         "ten tasks": pages.table(
-            ["task", "mean ± std", "untrained, at best", "at threshold", "median minutes"],
+            ["task", "mean ± std", "first evaluation, at best", "at threshold", "median minutes"],
             [task_line(task, runs) for task, runs in of_task.items()])}
 
 
