@@ -19,7 +19,7 @@ def of_runs():
            f"{compare.median(humanoids).replace('(', '(95%: ')}")
     stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
     yield f"5,000, which {stand} of 10 exceed"
-    yield f"{10 - stand} of 10 humanoids earn less than standing still"
+    yield f"{10 - stand} of 10 humanoids earn less than staying upright would"
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "Swimmer":
         runs = finals.loc[returns.TASKS[f"{task}-v5"]]
         if task != "Swimmer":

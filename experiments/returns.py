@@ -47,7 +47,7 @@ def draw_tasks(of_task):
         axis.plot(sampled, "C1-.", lw=3, label="in training: mean")
         if task in STANDING:
             axis.axhline(STANDING[task], color="black", ls="--", lw=1.5,
-                         label="standing still to the end")
+                         label="staying upright to the end")
         goal = gym.spec(task).reward_threshold
         if goal is not None and goal < 1.25 * runs["return"].max():  # others: in the title alone
             axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
@@ -59,7 +59,7 @@ def draw_tasks(of_task):
     standing = sum(finals["Humanoid-v5"] > STANDING["Humanoid-v5"])
     picture.suptitle(f"One set of options: {cheetahs} of 10 cheetahs pass Gymnasium's "
                      f"threshold,\n{sum(others) or 'no'} hoppers, ants or swimmers do; "
-                     f"{standing} of 10 humanoids beat standing still")
+                     f"{standing} of 10 humanoids beat staying upright")
     pages.save(picture, "ppo_returns")
 
 
