@@ -4,7 +4,8 @@ import compare
 import pages
 import pandas as pd
 import study
-from study import A2C, PPO, Job
+from study import Job
+from variants import A2C, PPO
 
 NAMES = {"--clip-eps 1e9": "no clip", "--max-kl 1e9": "no KL limit", "--last-std 0.6": "σ constant",
          "--clip-eps 1e9 --max-kl 1e9": "neither clip nor KL limit", "sigma-learned": "σ learned"}

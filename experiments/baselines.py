@@ -11,7 +11,8 @@ import seaborn as sns
 import study
 import torch
 from compare import number
-from study import REINFORCE, Job
+from study import Job
+from variants import REINFORCE
 
 BASELINES, STEPS, EARLY = ("none", "mean", "value"), range(0, 100_001, 5000), 30_000
 BATCHES = 300  # of whose gradients the variance is taken

@@ -8,6 +8,7 @@ import pandas as pd
 import race
 import returns
 import study
+import variants
 from compare import number
 
 
@@ -96,7 +97,8 @@ def earlier_trials():
 
 
 def later_trials():
-    rows = study.read("trials").query("script == @study.PPO")
+    rows = study.read("trials")
+    rows = rows[rows["script"] == variants.PPO]
     return rows["options"].str.extract(r"--env-id (?P<env_id>\S+)")
 
 

@@ -9,7 +9,8 @@ import study
 import torch
 from ablation import with_change
 from compare import number
-from study import A2C, PPO, Job
+from study import Job
+from variants import A2C, PPO
 
 LANDER, CHEETAH = Job(A2C), Job(PPO, "--env-id HalfCheetah-v5 --total-steps 3e5")
 POLE = Job(A2C, "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99")

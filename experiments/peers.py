@@ -19,7 +19,8 @@ import numpy as np
 import pandas as pd
 import study
 import torch
-from study import PPO, Job
+from study import Job
+from variants import PPO
 
 FILE, CLEANRL = "experiments/peers.py", os.environ.get("CLEANRL")
 

@@ -17,7 +17,8 @@ import pandas as pd
 import peers
 import study
 from compare import number
-from study import A2C, PPO, Job
+from study import Job
+from variants import A2C, PPO
 
 KINDS = {"sync": "one process", "async": "a process each"}
 COUNTS, TIMES = (1, 2, 4, 8, 16, 32), (0.03, 0.1, 0.2, 0.3, 0.5, 1.0)  # environments, milliseconds

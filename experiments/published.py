@@ -11,6 +11,7 @@ import pages
 import pandas as pd
 import returns
 import study
+import variants
 from compare import number
 from scipy import stats
 
@@ -49,7 +50,7 @@ def earlier_lines():
 def trial_lines():
     """Of a table: a candidate, its mean return ÷ another's on seeds that both have, by task."""
     rows = study.read("trials")
-    rows = rows[rows["script"] == study.PPO]
+    rows = rows[rows["script"] == variants.PPO]
     typed = rows["options"].str.extract(r"--env-id (?P<task>\w+)-.*episodes \d+ ?(?P<option>.*)")
     rows = rows.join(typed).assign(candidate=typed["option"] + rows["change"])
     found = rows.pivot(index=["task", "seed"], columns="candidate", values=["return", "lost"])

@@ -11,6 +11,7 @@ import pandas as pd
 import peers
 import returns
 import study
+import variants
 from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
@@ -28,7 +29,7 @@ JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for seed in range(1, 11 if setting == BEST[task] else 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
           for seed in range(101, 111) for task in TASKS),
-        *(Job(study.PPO, LIKE[change], change, seed) for change in LIKE
+        *(Job(variants.PPO, LIKE[change], change, seed) for change in LIKE
           for seed in range(101, 106))]
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pages
 import study
 from compare import number
-from study import A2C, PPO, REINFORCE, Job
+from study import Job
+from variants import A2C, PPO, REINFORCE
 
 PENDULUM = "InvertedDoublePendulum-v5"
 TASKS = {f"{task}-v5": f"--env-id {task}-v5 --total-steps 1e6" for task in (

@@ -9,7 +9,8 @@ import itertools
 import compare
 import pages
 import study
-from study import A2C, Job
+from study import Job
+from variants import A2C
 
 GRAVITY, WIND = (-2.0, -4.0, -6.0, -8.0, -10.0, -11.9), (0.0, 5.0, 10.0, 15.0, 20.0)
 KINDS, MOONS = ("", "--randomize"), ("usual", "random")

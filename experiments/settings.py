@@ -6,7 +6,8 @@ HeldAcrobot is the guide's: save its my_module.py beside this file. Three hours 
 import pages
 import study
 from compare import number
-from study import A2C, PPO, Job
+from study import Job
+from variants import A2C, PPO
 
 SETTINGS = {  # options for other tasks: the script, the first of five seeds (0.1 was the default)
     "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512 "

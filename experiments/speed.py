@@ -9,7 +9,8 @@ import pandas as pd
 import peers
 import study
 from compare import number
-from study import A2C, PPO, Job
+from study import Job
+from variants import A2C, PPO
 
 PEERS = {"defaults": ("defaults", {}), "8 environments": ("defaults", {"num_envs": 8}),
          "our sizes": ("our sizes", {}), "zoo": ("zoo", {})}  # for `peers.speed`

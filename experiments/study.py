@@ -5,7 +5,7 @@ A study has JOBS, what is to be measured, and `draw(rows)`, which draws its figu
 
     python experiments/STUDY.py                measures the jobs that have no rows yet, and draws
     python experiments/STUDY.py --only Hopper  measures only jobs whose fields contain this
-    python experiments/STUDY.py --again        measures also those of before the script's change
+    python experiments/STUDY.py --again        measures all anew, but those of the present commit
     python experiments/STUDY.py --quick        tries one tiny job, keeps nothing
 """
 
@@ -24,17 +24,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
-import numpy as np
 import pages
 import pandas as pd
 import variants
 from tqdm import tqdm
-from variants import A2C, PPO, REINFORCE, ROOT
+from variants import ROOT
 
 DATA = ROOT / "experiments/data"
-# The commits that last changed the numbers of a script; those since then changed none.
-SINCE = {REINFORCE: "f0215e1", A2C: "f0215e1", PPO: "e686738",
-         "experiments/together.py": "e686738"}
 
 
 class Job(NamedTuple):
@@ -123,26 +119,12 @@ def final_rows(rows):
     return rows.groupby(KEYS, sort=False).tail(1).reset_index(drop=True)
 
 
-def is_old(rows):
-    """Which rows were measured before their script's numbers changed."""
-    def since_then(script, commit):
-        command = "git", "merge-base", "--is-ancestor", SINCE[script], commit
-        code = subprocess.run(command, cwd=ROOT, capture_output=True).returncode
-        if code > 1:
-            sys.exit(f"git lacks {SINCE[script]} or {commit}: fetch the whole history")
-        return code == 0
-
-    origins = list(zip(rows["script"], rows["commit"]))
-    old = {origin for origin in set(origins) if origin[0] in SINCE and not since_then(*origin)}
-    return np.array([origin in old for origin in origins], bool)
-
-
 def main(jobs, draw, measure=last_evaluation, workers=None):
     """Measure the jobs that have no rows yet, each kept as soon as it is done; then draw."""
     study = sys.modules["__main__"]
     parser = argparse.ArgumentParser(description=study.__doc__)
     parser.add_argument("--quick", action="store_true", help="try one tiny job, keep nothing")
-    parser.add_argument("--again", action="store_true", help="jobs with old rows, too")
+    parser.add_argument("--again", action="store_true", help="jobs of other commits, too")
     parser.add_argument("--only", default="", metavar="TEXT", help="jobs that contain it")
     args = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
@@ -150,9 +132,10 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
         return print(measured(measure, tiny(jobs[0]), keep=False).to_string())
     name = Path(study.__file__).stem
     rows = read(name)
-    old = is_old(rows)
-    print(f"{len(set(keys(rows[old])))} jobs were measured before their script changed its numbers")
-    done = set(keys(rows[~old] if args.again else rows))
+    if args.again:
+        today = {script: commit_of(script, "experiments/*.py") for script in set(rows["script"])}
+        rows = rows[rows["commit"] == rows["script"].map(today)]
+    done = set(keys(rows))
     lacking = [job for job in jobs if job not in done and args.only in " ".join(map(str, job))]
     if lacking:
         commit_of(*{job.script for job in lacking}, "experiments/*.py")
@@ -168,10 +151,11 @@ def main(jobs, draw, measure=last_evaluation, workers=None):
                 (DATA / f"{name}.new").replace(DATA / f"{name}.csv")
         finally:  # after Ctrl-C, too
             processes.shutdown(cancel_futures=True)
+    rows = read(name)
     missing = set(jobs) - set(keys(rows))
     if missing:
         sys.exit(f"not drawn, as {len(missing)} jobs have no rows yet")
-    tables = draw(read(name))
+    tables = draw(rows)
     print(*tables.values(), sep="\n")
     pages.write_tables(tables)
     print("Other studies may use these rows: python experiments/report.py")

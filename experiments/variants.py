@@ -1,4 +1,4 @@
-"""Changes to a script, one at a time, for the ablation and for exercises.
+"""Changes to a script, one at a time, for studies and for exercises.
 
     python experiments/variants.py                       lists their names
     python experiments/variants.py NAME FILE             writes the changed script

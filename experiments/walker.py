@@ -11,7 +11,8 @@ import pandas as pd
 import study
 from race import BEST, finals_of
 from returns import TASKS
-from study import PPO, Job
+from study import Job
+from variants import PPO
 
 TASK = "Walker2d-v5"
 CHANGES = {"none": ("", ""),

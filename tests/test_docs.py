@@ -71,7 +71,7 @@ def test_exercise_4_and_its_answer_run(tmp_path, capsys):
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
              "--array", "--wrap", "--tb", "--with", "--with-requirements",  # of diff, torchrun,
-             "--quick", "--again"}  # SLURM, pytest, uv; of a study
+             "--quick", "--again", "--only"}  # SLURM, pytest, uv; of a study
     for script in SCRIPTS.values():
         known |= {f"--{name.replace('_', '-')}" for name in vars(script.module.parse_args([]))}
     assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", TEXT)) <= known

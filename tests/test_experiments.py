@@ -80,7 +80,6 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch, capsys):
     measured = []
     monkeypatch.setattr(study, "DATA", tmp_path)
     monkeypatch.setattr(study, "git", lambda verb, *_: "" if verb == "status" else "1234567\n")
-    monkeypatch.setattr(study, "is_old", lambda rows: rows["seed"] < 0)
     monkeypatch.setattr(study, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
     monkeypatch.setattr(sys.modules["__main__"], "__file__", "small.py")
     jobs = [study.Job("ppo_continuous.py", f"--epochs {seed}", seed=seed) for seed in (1, 2, 3, 4)]
@@ -98,7 +97,8 @@ def test_a_study_measures_only_what_has_no_rows(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="not drawn, as 1 jobs have no rows yet"):
         study.main(jobs, lambda rows: {}, measure)
     measured.pop()
-    monkeypatch.setattr(study, "is_old", lambda rows: rows["seed"] == 2)
+    rows = study.read("small").assign(commit=["1234567", "7654321", "1234567"])
+    rows.to_csv(tmp_path / "small.csv", index=False)
     monkeypatch.setattr(sys, "argv", ["small.py", "--again"])
     study.main(jobs[:3], lambda rows: {}, measure)
     rows = study.read("small")
@@ -117,20 +117,16 @@ def test_a_row_is_an_evaluation_with_the_mean_return_in_training_since_the_last(
     assert study.last_evaluation(study.Job("ppo_continuous.py"))["return"].tolist() == [50]
 
 
-def test_rows_are_of_what_is_committed_and_old_if_of_before_a_change(tmp_path, monkeypatch):
+def test_rows_are_of_what_is_committed(tmp_path, monkeypatch):
     monkeypatch.setattr(study, "ROOT", tmp_path)
     (tmp_path / "x.py").write_text("")
     study.git("init")
     study.git("add", "x.py")
     commit = "-c", "user.name=x", "-c", "user.email=x", "commit"
     study.git(*commit, "-m", "x")
-    today = study.commit_of("x.py")
-    study.git(*commit, "--allow-empty", "-m", "changes the numbers of x.py")
-    monkeypatch.setattr(study, "SINCE", {"x.py": study.git("rev-parse", "HEAD").strip()})
-    study.git(*commit, "--allow-empty", "-m", "changes nothing")
-    rows = pd.DataFrame({"script": ["x.py", "x.py", "x.py", "y.py"], "commit": [
-        today, study.SINCE["x.py"], study.git("rev-parse", "HEAD").strip(), "unknown"]})
-    assert study.is_old(rows).tolist() == [True, False, False, False]
+    first = study.git("log", "-1", "--format=%h").strip()
+    study.git(*commit, "--allow-empty", "-m", "another file")
+    assert study.commit_of("x.py") == first
     (tmp_path / "x.py").write_text("changed")
     with pytest.raises(SystemExit, match=r"^not measured, .*: x\.py$"):
         study.commit_of("x.py")
@@ -319,7 +315,7 @@ def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatc
             (task("Ant", " --last-std 0.2"), 1, 5, 0),
             (task("Ant", " --last-std 0.2 --y"), 1, 4, 0)]
     rows = pd.DataFrame(rows, columns=["options", "seed", "return", "lost"])
-    monkeypatch.setattr(study, "read", lambda _: rows.assign(script=study.PPO, change=""))
+    monkeypatch.setattr(study, "read", lambda _: rows.assign(script=variants.PPO, change=""))
     assert list(published.trial_lines()) == [
         ["`--last-std 0.2`", "as it was", "", "", "", "0.50", "", "", "", ""],
         ["`--last-std 0.2 --y`", "as it was", "", "", "", "0.40", "", "", "", ""],
