@@ -22,15 +22,16 @@ LEARNERS = {  # the change of their rows, colour, dashes
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
 CHEETAH = returns.TASKS["HalfCheetah-v5"]
-LIKE = {"like-cleanrl": f"{CHEETAH} --num-envs 1 --rollout-steps 2048 --minibatch-size 64 "
-        "--learning-rate 3e-4 --max-kl 1e9", "like-sb3": f"{CHEETAH} --max-kl 1e9"}
+LIKE = [  # ours: with CleanRL's settings; with our sizes; and with our first σ, 0.6 in place of 1
+    (f"{CHEETAH} --num-envs 1 --rollout-steps 2048 --minibatch-size 64 --learning-rate 3e-4 "
+     "--max-kl 1e9", "like-cleanrl"),
+    (f"{CHEETAH} --max-kl 1e9", "like-cleanrl"), (f"{CHEETAH} --max-kl 1e9", "like-sb3")]
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for setting in ("defaults", "zoo", "our sizes")
           for seed in range(1, 11 if setting == BEST[task] else 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
           for seed in range(101, 111) for task in TASKS),
-        *(Job(variants.PPO, LIKE[change], change, seed) for change in LIKE
-          for seed in range(101, 106))]
+        *(Job(variants.PPO, *like, seed) for like in LIKE for seed in range(101, 106))]
 
 
 def measure(job):
