@@ -91,6 +91,13 @@ def of_cleanrl():
     yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of our steps"
 
 
+def of_others_settings():
+    """Of our script on HalfCheetah, with the settings of others."""
+    finals = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
+    for like in race.LIKE:
+        yield f"{compare.spread(finals[like])} (median {number(finals[like].median())})"
+
+
 def earlier_trials():
     rows = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
     return rows[rows["stage"] < 6]  # 6: other settings
@@ -107,3 +114,4 @@ def claims():
     yield from of_the_ablation()
     yield from of_peers()
     yield from of_cleanrl()
+    yield from of_others_settings()
