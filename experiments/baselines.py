@@ -86,7 +86,9 @@ def draw(rows):
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     pages.name_ends(middle, x=103_000)
     middle.axhline(950, ls=":", color="black", lw=1.5)
-    picture.suptitle("REINFORCE: a baseline makes the gradient less noisy and learning faster")
+    faster = compare.holm(tests[2:]).any()
+    picture.suptitle("REINFORCE: a baseline makes the gradient less noisy"
+                     f"{' and learning faster' if faster else '; faster learning may be chance'}")
     pages.save(picture, "baselines")
     return {"baselines": pages.table(
         ["`--baseline`", "variance of the gradient, none = 1", f"return after {EARLY:,} steps",

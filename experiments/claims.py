@@ -109,6 +109,15 @@ def of_others_settings():
         yield f"{compare.spread(finals[like])} (median {number(finals[like].median())})"
 
 
+def of_baselines():
+    """Of REINFORCE with the critic as baseline: the study's runs, and those with defaults."""
+    runs = study.final_rows(study.read("baselines").query("options == '--baseline value'"))
+    hundred = study.read("returns").query(
+        "script == 'reinforce_mujoco.py' and options == @returns.HUNDRED")
+    solved = [*(runs["return"] >= 950), *(hundred["return"] >= 950)]
+    yield f"With it {sum(solved)} of {len(solved)} runs are solved"
+
+
 def earlier_trials():
     rows = pd.read_csv(study.DATA / "earlier_trials.csv", comment="#")
     return rows[rows["stage"] < 6]  # 6: other settings
@@ -126,3 +135,4 @@ def claims():
     yield from of_peers()
     yield from of_cleanrl()
     yield from of_others_settings()
+    yield from of_baselines()
