@@ -38,7 +38,7 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states. But an update uses T·N steps,
-so with the same total, a larger N means fewer updates. (`make_envs`: when a process for each pays.)
+so with the same total, a larger N means fewer updates. (`make_envs` says when processes pay.)
 
 Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
@@ -194,8 +194,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     But V is learned, and λ trades its error for noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
-                   with more noise and less of V's error; without any, if the episode terminates
-                   there (then this is REINFORCE with the baseline V)
+                   with less of V's error, but more noise. If the episode terminates there, its
+                   last V is 0, and this is REINFORCE with the baseline V
         otherwise  in between: the δ of k steps later counts λ^k as much
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
@@ -257,7 +257,7 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
         sync     N·step
         async    N·step/cores + N·message        roughly, if all steps take equally long
 
-    Here cores are idle ones, at most N. On our machine a message there and back takes 0.04 ms, so
+    Only idle cores count, and at most N. On our machine a message there and back takes 0.04 ms, so
     async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, from 0.08 ms a step on. A step of
     LunarLander takes 0.03 ms, too little. For your own environment run both, and compare `seconds`.
 
@@ -574,7 +574,7 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+        print(f"{args.env_id} has no time limit: whole episodes, as in evaluations, end after "
               "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:

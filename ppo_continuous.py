@@ -222,8 +222,8 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     But V is learned, and λ trades its error for noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
-                   with more noise and less of V's error; without any, if the episode terminates
-                   there (then this is REINFORCE with the baseline V)
+                   with less of V's error, but more noise. If the episode terminates there, its
+                   last V is 0, and this is REINFORCE with the baseline V
         otherwise  in between: the δ of k steps later counts λ^k as much
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
@@ -279,7 +279,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            # One scale in all tasks; and the mean acts nearly as a baseline: less noise.
+            # Standardised: one scale in all tasks, and less noise, as the mean acts as a baseline.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
@@ -552,7 +552,7 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+        print(f"{args.env_id} has no time limit: whole episodes, as in evaluations, end after "
               "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:

@@ -446,7 +446,7 @@ def main():
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
     if not envs.spec.max_episode_steps:
-        print(f"{args.env_id} has no time limit: evaluations (in REINFORCE all episodes) end after "
+        print(f"{args.env_id} has no time limit: whole episodes, as in evaluations, end after "
               "1,000 steps. To set another limit: gym.register(..., max_episode_steps=...)")
     try:
         if len(args.seed) == 1:
