@@ -3,7 +3,6 @@
 import ablation
 import compare
 import last_std
-import numpy as np
 import pandas as pd
 import race
 import returns
@@ -13,7 +12,10 @@ from compare import number
 
 
 def of_runs():
-    """Of our runs on ten tasks."""
+    """Of the three scripts, and of PPO on ten tasks."""
+    hundred = study.read("returns").query("options == @returns.HUNDRED").groupby("script")
+    for script, bar in (variants.REINFORCE, 950), (variants.A2C, 200), (variants.PPO, 9100):
+        yield compare.proportion(hundred.get_group(script)["return"] >= bar)
     finals = study.final_rows(study.read("returns")).set_index("options")
     humanoids = finals.loc[returns.TASKS["Humanoid-v5"], "return"]
     yield (f"above 2,000 in {sum(humanoids > 2000)} of 10 runs; the median of all is "
@@ -24,12 +26,13 @@ def of_runs():
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid":
         yield f"{task} {compare.spread(finals.loc[returns.TASKS[f'{task}-v5'], 'return'])}"
     first = study.read("other_machine").set_index(["options", "seed"])["return"]
+    unlike = []
     for options, elsewhere in first.groupby("options"):
         here = finals.loc[options].set_index("seed")["return"]
         gain = compare.paired(here[elsewhere[options].index] - elsewhere[options])
-        digits = int(abs(here.mean()) < 100)
-        yield (f"{number(gain.gain, digits)} ± {number(gain.margin, digits)} "
-               f"({options.split()[1].removesuffix('-v5')})")
+        if abs(gain.gain) > gain.margin:
+            unlike.append(options)
+    yield f"the 95% interval of the change leaves out 0 on {len(unlike) or 'none'} of the tasks"
     of_tasks = study.read("returns").query("options in @returns.TASKS.values()")
     first = of_tasks.groupby(["options", "seed"])["return"].first().groupby("options").max()
     last = finals.loc[list(returns.TASKS.values()), "return"].groupby("options").min()
@@ -47,12 +50,11 @@ def of_walkers(walkers):
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
     sb3 = race.finals_of("Walker2d-v5", study.read("race"))["sb3, our sizes"]
     gain = compare.welch(walkers, sb3)
-    yield (f"{number(-gain.gain)} ± {number(gain.margin)} below *our sizes* (p {gain.p:.2g}, "
-           "uncorrected)")
+    gain = gain._replace(gain=-gain.gain)
+    yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g})"
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
-    yield (f"first had {compare.spread(first)}, and were significantly below "
-           f"(p {compare.welch(first, sb3).p:.2g})")
+    yield f"first had {compare.spread(first)} (p {compare.welch(first, sb3).p:.2g}, significant)"
     more = study.read("walker").set_index(["options", "change"])["return"]
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
@@ -63,9 +65,9 @@ def of_walkers(walkers):
 def of_the_ablation():
     rows = study.read("ablation")
     effects = ablation.effects(rows, ablation.TABLES).set_index(["table", "change"])["gain"]
-    yield f"loses {-effects['double pendulum', '--clip-eps 1e9']:.0f}% of its return"
-    pendulums = rows.set_index(study.KEYS[:3]).loc[ablation.TABLES["double pendulum"][0][:3]]
-    yield f"of {len(pendulums)} other seeds {sum(pendulums['return'] < 9300)} drops one of ten"
+    without_clip, without_both = (effects["double pendulum", change] for change in (
+        "--clip-eps 1e9", "--clip-eps 1e9 --max-kl 1e9"))
+    yield f"to lose {-without_clip:.0f}% without the clip, but {-without_both:.0f}% without both"
 
 
 def of_peers():
@@ -85,30 +87,26 @@ def of_peers():
 
 
 def of_cleanrl():
-    """Means against those of CleanRL, in training, after equal steps and after equal minutes."""
+    """Means in training, against those of CleanRL."""
     rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), study.read("race")])
-    leads = []
     for task in race.TASKS:
         curves = race.curves_of(task, rows, "sampled")
         ours, theirs = (curves[learner].groupby("steps")["return"].mean()
                         for learner in ("ours", "CleanRL"))
         if task == "HalfCheetah-v5":
             yield f"{ours[1] / theirs[1]:.1f} times what CleanRL's does"
-        speeds = race.speeds_of(task)
-        done = speeds["CleanRL"] / speeds["ours"]  # of its steps, when ours has done all
-        leads.append((ours[1] - np.interp(done, theirs.index, theirs), done))
-    gains, done = zip(*leads)
-    yield f"by {number(min(gains))} to {number(max(gains))}"
-    yield f"{100 * min(done):.0f} to {100 * max(done):.0f}% of our steps"
 
 
 def of_others_settings():
     """Of our script on HalfCheetah, with the settings of others."""
-    finals = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
-    for like in race.LIKE:
-        yield f"{compare.spread(finals[like])} (median {number(finals[like].median())})"
-    _, their_sigma, our_sigma = (finals[like] for like in race.LIKE)
-    yield f"much of our lead (p {compare.welch(our_sigma, their_sigma).p:.2g})"
+    rows = study.read("race")
+    finals = study.final_rows(rows).set_index(["options", "change"])["return"]
+    peers = race.finals_of("HalfCheetah-v5", rows)
+    for like, peer in zip(race.LIKE, ("CleanRL", "sb3, our sizes")):
+        yield (f"{compare.spread(finals[like])}, {compare.welch(finals[like], peers[peer])} more "
+               f"than {peer}")
+    gain = compare.welch(finals[race.LIKE[2]], finals[race.LIKE[1]])
+    yield f"{compare.spread(finals[race.LIKE[2]])} (p {gain.p:.2g})"
 
 
 def of_baselines():

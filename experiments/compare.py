@@ -15,7 +15,10 @@ class Difference(NamedTuple):
     p: float
 
     def __str__(self):
-        return f"{number(self.gain)} ± {number(self.margin)}"
+        return f"{number(self.gain)} ({self.interval()})"
+
+    def interval(self, digits=0):
+        return " to ".join(number(self.gain + sign * self.margin, digits) for sign in (-1, 1))
 
 
 def difference(test):

@@ -31,7 +31,7 @@ def beside_ours(other, finals):
     of_seeds = f" ({other['seeds']:.0f})" if other["seeds"] == other["seeds"] else ""
     return [other["task"], f"{theirs.removesuffix(' ± nan')}{of_seeds} {other['source']}",
             other["handicap"],
-            compare.spread(ours, digits), "training" if other["sampled"] else "evaluation"], p
+            compare.spread(ours, digits), "drawn" if other["sampled"] else "mean"], p
 
 
 def earlier_lines():
@@ -75,7 +75,7 @@ def draw(published):
     for same_version, others in published.groupby("same_version"):
         lines, p_values = zip(*(beside_ours(other, finals) for _, other in others.iterrows()))
         tables["published" if same_version else "older versions"] = pages.table(
-            ["task", "published (seeds)", "what to know", "ours", "in", "p"],
+            ["task", "published (seeds)", "what to know", "ours", "actions", "p"],
             [[*line, p] for line, p in zip(lines, compare.marked(p_values))])
     return tables
 

@@ -68,9 +68,9 @@ def speeds_of(task):
 
 def draw_steps(rows, lines, holds):
     """Means against steps, at the end a dash for each seed; below, what ours earn more."""
-    picture, panels = pages.figure(16, 8, 2, 4)
+    picture, panels = pages.figure(14, 8, 2, 3)
     peers_below = list(LEARNERS)[1:]
-    for above, below, task in zip(panels[:4], panels[4:], TASKS):
+    for above, below, task in zip(panels[:3], panels[3:], BEST):
         for i, (learner, curve) in enumerate(curves_of(task, rows).items(), start=1):
             _, color, dashes = LEARNERS[learner]
             finals = curve.loc[curve["steps"] == 1, "return"]
@@ -86,29 +86,29 @@ def draw_steps(rows, lines, holds):
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
         below.set(xlabel="ours − peer's", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("return without noise")
-    panels[4].set_yticks(range(4), peers_below)
+    panels[3].set_yticks(range(4), peers_below)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
 
 
 def draw_minutes(rows):
-    """Means against minutes, at the end a dash for each seed."""
-    picture, panels = pages.figure(16, 4.8, 1, 4)
-    for axis, task in zip(panels, TASKS):
+    """Means against minutes."""
+    picture, panels = pages.figure(14, 4.8, 1, 3)
+    ends = {learner: [] for learner in LEARNERS}
+    for axis, task in zip(panels, BEST):
         speeds = speeds_of(task)
         for learner, curve in curves_of(task, rows).items():
             change, color, dashes = LEARNERS[learner]
             mean = curve.groupby("steps")["return"].mean()
             minutes = 1e6 * mean.index / speeds[change] / 60
             axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
-            finals = curve.loc[curve["steps"] == 1, "return"]
-            axis.plot(np.full(len(finals), minutes[-1]), finals, "_", color=color, ms=9, mew=2)
-        axis.set(title=task[:-3], xscale="log", xlabel="minutes (log scale)")
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.minorticks_off()
+            ends[learner].append(minutes[-1])
+        axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    picture.suptitle("A million steps of PPO take minutes: fewest with ours and sb3's our sizes")
+    ours, theirs = (" to ".join(f"{end(ends[name]):.1f}" for end in (min, max))
+                    for name in ("ours", "CleanRL"))
+    picture.suptitle(f"A million steps take {ours} minutes with ours, {theirs} with CleanRL's")
     pages.save(picture, "ppo_minutes")
 
 
@@ -123,12 +123,12 @@ def lines_of(rows, column="return"):
 
 def returns_table(lines, holds):
     """A line for each task, a column for each learner; bold: significantly unlike ours."""
-    cells = {}
+    cells = {("Hopper", "sb3, zoo"): "left out"}
     for (task, peer, ours, theirs, _), different in zip(lines, holds):
         text = [f"{compare.spread(x)} ({len(x)})" for x in (ours, theirs)]
         cells[task, "ours"], cells[task, peer] = text[0], f"**{text[1]}**" if different else text[1]
     return pages.table(["task", *LEARNERS], [[task[:-3], *(
-        cells.get((task[:-3], learner), "") for learner in LEARNERS)] for task in TASKS])
+        cells.get((task[:-3], learner), "not run") for learner in LEARNERS)] for task in TASKS])
 
 
 def differences_table(lines, p_values):
@@ -160,7 +160,8 @@ def draw(rows):
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
     title = title_of(lines, holds) or "No difference"
-    picture.suptitle(f"{title}\n(filled dots: significant; the rest may be chance)", wrap=True)
+    picture.suptitle(f"{title}\n(dashes: each seed's end; filled dots: significant, the rest may "
+                     "be chance)", wrap=True)
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds), "differences": differences_table(lines, marked),
             "in training": differences_table(in_training, marked[len(lines):])}

@@ -160,10 +160,10 @@ def test_the_race_says_who_leads_after_holms_correction():
         "HalfCheetah: ours below sb3 zoo"
     cells = [line.split("|")[1:-1] for line in race.returns_table(lines, holds).splitlines()[2:]]
     assert [[x.strip() for x in line] for line in cells] == [
-        ["HalfCheetah", "8 ± 1 (2)", "**3 ± 1 (2)**", "", "**13 ± 1 (2)**", ""],
-        ["Hopper", "8 ± 1 (2)", "3 ± 1 (2)", "", "", ""],
-        ["Walker2d", "8 ± 1 (2)", "3 ± 1 (2)", "", "", ""],
-        ["InvertedDoublePendulum", "", "", "", "", ""]]
+        ["HalfCheetah", "8 ± 1 (2)", "**3 ± 1 (2)**", "not run", "**13 ± 1 (2)**", "not run"],
+        ["Hopper", "8 ± 1 (2)", "3 ± 1 (2)", "not run", "left out", "not run"],
+        ["Walker2d", "8 ± 1 (2)", "3 ± 1 (2)", "not run", "not run", "not run"],
+        ["InvertedDoublePendulum", *(5 * ["not run"])]]
 
 
 def test_at_a_threshold_is_a_run_whose_last_return_reaches_it():
@@ -300,7 +300,7 @@ def test_cleanrl_is_compared_without_noise_and_in_training(monkeypatch):
     without = [line[2:4] for line in lines["differences"] if line[1] == "CleanRL (10)"]
     assert without == 4 * [["106 ± 3 (106)", "1,106 ± 3 (10)"]]
     assert [line[1:] for line in lines["in training"]] == 4 * [
-        ["CleanRL (10)", "104 ± 3 (104)", "1,104 ± 3 (10)", "1,000 ± 3", "**< 0.001**"]]
+        ["CleanRL (10)", "104 ± 3 (104)", "1,104 ± 3 (10)", "1,000 (997 to 1,003)", "**< 0.001**"]]
 
 
 def test_a_trial_is_compared_with_the_default_on_seeds_that_both_have(monkeypatch):
@@ -340,7 +340,7 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
     out = capsys.readouterr().out
     for setting in "256 +2 +4.0", "512 +2 +11.0":  # the later of two runs of a seed counts
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
-    assert "total_steps 256 − total_steps 512: -7 ± " in out
+    assert "total_steps 256 − total_steps 512: −7.0, 95%: −" in out
     assert f"has not ended: {cut}.csv" in out
     assert (tmp_path / "merged.png").exists()
     with pytest.raises(SystemExit, match="usage: .*FOLDER"):
