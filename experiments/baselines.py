@@ -80,7 +80,7 @@ def draw(rows):
     middle.set(title="return, mean of ten seeds\n(band: 95%; dotted: solved)",
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     middle.xaxis.set_major_formatter("{x:,.0f}")
-    pages.name_ends(middle, x=103_000)
+    middle.legend(loc="lower right")
     middle.axhline(950, ls=":", color="black", lw=1.5)
     faster = compare.holm(tests[2:]).any()
     picture.suptitle("REINFORCE: a baseline makes the gradient less noisy"

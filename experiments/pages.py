@@ -2,11 +2,9 @@
 
 import re
 
-import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib.figure import Figure
-from scipy import optimize
 from variants import ROOT
 
 
@@ -38,22 +36,10 @@ def figure(width, height, rows=1, columns=1, **options):
 
 def curves(rows, x, axis, y="return", label=None, color="C0", **labels):
     """Every seed, and the mean in bold."""
-    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.3, lw=1, color=color,
+    sns.lineplot(rows, x=x, y=y, units="seed", estimator=None, alpha=0.5, lw=1, color=color,
                  ax=axis)
     sns.lineplot(rows, x=x, y=y, errorbar=None, linewidth=3, label=label, color=color, ax=axis)
     axis.set(**{"xlabel": x.replace("_", " "), "ylabel": "return", **labels})
-
-
-def name_ends(axis, x, gap=0.07):
-    """In place of a legend: each line's label at x, beside its end, none over another."""
-    named = [line for line in axis.lines if not line.get_label().startswith("_")]
-    named.sort(key=lambda line: line.get_ydata()[-1])
-    shifts = gap * np.ptp(axis.get_ylim()) * np.arange(len(named))
-    ends = [line.get_ydata()[-1] for line in named]  # moved as little as the gaps allow:
-    for line, place in zip(named, optimize.isotonic_regression(ends - shifts).x + shifts):
-        axis.text(x, place, line.get_label(), va="center", size="small", color=line.get_color())
-    if axis.get_legend():
-        axis.get_legend().remove()
 
 
 def save(picture, name):

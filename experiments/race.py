@@ -16,22 +16,23 @@ from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
 LEARNERS = {  # the change of their rows, colour, dashes
-    "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "C3", (0, (5, 1))),
+    "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "black", (0, (5, 1))),
     "sb3, defaults": ("defaults", "C1", "--"), "sb3, zoo": ("zoo", "C2", ":"),
     "sb3, our sizes": ("our sizes", "C4", "-.")}
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
 CHEETAH = returns.TASKS["HalfCheetah-v5"]
-LIKE = [  # ours: with CleanRL's settings; with our sizes; and with our first σ, 0.6 in place of 1
-    (f"{CHEETAH} --num-envs 1 --rollout-steps 2048 --minibatch-size 64 --learning-rate 3e-4 "
-     "--max-kl 1e9", "like-cleanrl"),
-    (f"{CHEETAH} --max-kl 1e9", "like-cleanrl"), (f"{CHEETAH} --max-kl 1e9", "like-sb3")]
+LIKE = {  # ours with others' settings, in which σ begins at 1
+    "CleanRL's": (f"{CHEETAH} --num-envs 1 --rollout-steps 2048 --minibatch-size 64 "
+                  "--learning-rate 3e-4 --max-kl 1e9", "like-cleanrl"),
+    "sb3's, our sizes": (f"{CHEETAH} --max-kl 1e9", "like-cleanrl"),
+    "sb3's, our sizes, σ from 0.6": (f"{CHEETAH} --max-kl 1e9", "like-sb3")}
 JOBS = [*(Job(peers.FILE, returns.TASKS[task], setting, seed) for task in BEST
           for setting in ("defaults", "zoo", "our sizes")
           for seed in range(1, 11 if setting == BEST[task] else 6)),
         *(Job(peers.FILE, returns.TASKS[task], "CleanRL", seed)
           for seed in range(101, 111) for task in TASKS),
-        *(Job(variants.PPO, *like, seed) for like in LIKE for seed in range(101, 106))]
+        *(Job(variants.PPO, *like, seed) for like in LIKE.values() for seed in range(101, 106))]
 
 
 def measure(job):
@@ -106,9 +107,9 @@ def draw_minutes(rows):
         axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    ours, theirs = (" to ".join(f"{end(ends[name]):.1f}" for end in (min, max))
-                    for name in ("ours", "CleanRL"))
-    picture.suptitle(f"A million steps take {ours} minutes with ours, {theirs} with CleanRL's")
+    took = [f"{name} {min(ends[name]):.1f} to {max(ends[name]):.1f}" for name in ends
+            if name != "sb3, zoo"]
+    picture.suptitle(f"Minutes for a million steps: {'; '.join(took).replace(', ', ' ')}")
     pages.save(picture, "ppo_minutes")
 
 
@@ -141,6 +142,22 @@ def differences_table(lines, p_values):
          for (task, peer, ours, theirs, gain), p in zip(lines, p_values)])
 
 
+def like_table(rows):
+    """Ours with others' settings, on HalfCheetah."""
+    finals = study.final_rows(rows).set_index(["options", "change"])["return"]
+    peers = finals_of("HalfCheetah-v5", rows)
+    theirs, like_sb3, smaller = (finals[like] for like in LIKE.values())
+    pairs = [(theirs, "CleanRL", peers["CleanRL"]),
+             (like_sb3, "sb3, our sizes", peers["sb3, our sizes"]),
+             (smaller, "the line above", like_sb3)]
+    gains = [compare.welch(mine, other) for mine, _, other in pairs]
+    return pages.table(
+        ["ours with settings", "return (median)", "minus", "difference, 95%", "p"],
+        [[name, f"{compare.spread(mine)} ({compare.number(mine.median())})", other, gain,
+          compare.p_text(gain.p)]
+         for name, (mine, other, _), gain in zip(LIKE, pairs, gains)])
+
+
 def title_of(lines, holds):
     """On which task ours are significantly above whom, or below."""
     leads = {}
@@ -164,7 +181,8 @@ def draw(rows):
                      "be chance)", wrap=True)
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds), "differences": differences_table(lines, marked),
-            "in training": differences_table(in_training, marked[len(lines):])}
+            "in training": differences_table(in_training, marked[len(lines):]),
+            "their settings": like_table(rows)}
 
 
 if __name__ == "__main__":

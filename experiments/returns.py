@@ -40,7 +40,7 @@ def draw_tasks(of_task):
     picture, panels = pages.figure(11, 9, 2, 3)
     for axis, task, first in zip(panels, PANELS, 2 * (True, False, False)):
         runs = of_task[task].assign(millions=of_task[task]["steps"] / 1e6)
-        pages.curves(runs, "millions", axis, label="evaluation: each seed, mean",
+        pages.curves(runs, "millions", axis, label="evaluation: mean (thin: each seed)",
                      xlabel="million steps" * (axis is panels[4]), ylabel="return" * first,
                      title=f"{task[:-3]}\n{at_threshold(task, runs)}")
         sampled = runs.groupby("millions")["sampled"].mean()
@@ -76,7 +76,7 @@ def script_line(script, runs, typed):
     returned = runs["return"]
     return [f"`{script}`", args.env_id, compare.spread(returned), number(returned.min()),
             f"{sum(returned >= threshold)} of {len(returned)} ≥ {threshold:,g}",
-            f"{args.total_steps:,}", f"{number(typed['seconds'].median())} s"]
+            f"{args.total_steps:,}: {number(typed['seconds'].median())} s"]
 
 
 def draw(rows):
@@ -84,7 +84,7 @@ def draw(rows):
     of_task = {task: rows[rows["options"] == options] for task, options in TASKS.items()}
     draw_tasks(of_task)
     return {"three scripts": pages.table(
-        ["file", "task", "mean ± std", "lowest", "solved", "steps", "median time"],
+        ["file", "task", "mean ± std", "lowest", "solved", "steps: median time"],
         [script_line(x, hundred.get_group(x), typed.get_group(x)) for x in SEEDS]),
         "ten tasks": pages.table(
             ["task", "mean ± std", "lowest", "at threshold", "median minutes"],
