@@ -103,13 +103,14 @@ def draw_minutes(rows):
             mean = curve.groupby("steps")["return"].mean()
             minutes = 1e6 * mean.index / speeds[change] / 60
             axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
+            axis.plot(minutes[-1], mean.iloc[-1], "o", color=color)
             ends[learner].append(minutes[-1])
         axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     took = [f"{name} {min(ends[name]):.1f} to {max(ends[name]):.1f}" for name in ends
             if name != "sb3, zoo"]
-    picture.suptitle(f"Minutes for a million steps: {'; '.join(took).replace(', ', ' ')}")
+    picture.suptitle(f"Minutes for a million steps:\n{'; '.join(took).replace(', ', ' ')}")
     pages.save(picture, "ppo_minutes")
 
 
