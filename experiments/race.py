@@ -85,7 +85,7 @@ def draw_steps(rows, lines, holds):
                                color=color, capsize=3, mfc=color if different else "white")
         below.axvline(0, color="grey")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="ours − peer's", yticks=[], ylim=(3.5, -0.5))
+        below.set(xlabel="peer better ← 0 → ours better", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("return without noise")
     panels[3].set_yticks(range(4), peers_below)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
@@ -108,9 +108,10 @@ def draw_minutes(rows):
         axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    took = [f"{name} {min(ends[name]):.1f} to {max(ends[name]):.1f}" for name in ends
-            if name != "sb3, zoo"]
-    picture.suptitle(f"Minutes for a million steps:\n{'; '.join(took).replace(', ', ' ')}")
+    most, least = (max(np.divide(ends[peer], ends["ours"]))
+                   for peer in ("CleanRL", "sb3, our sizes"))
+    picture.suptitle(f"For as many steps CleanRL takes up to {most:.1f} times as long as ours,\n"
+                     f"stable-baselines3 (sb3) with our sizes up to {least:.1f} times")
     pages.save(picture, "ppo_minutes")
 
 
