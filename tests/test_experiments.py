@@ -208,6 +208,7 @@ def test_all_tables_of_the_pages_are_those_of_the_data(tables):
     assert {name for name, _ in shown} == set(tables) - of_answers | answers
     for name, table in shown:
         assert table == tables[name], name
+        assert not re.search(r"\bnan\b", table), name
 
 
 @pytest.mark.parametrize("name", [x for x in report.STUDIES if x != "published"])
