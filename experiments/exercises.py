@@ -1,6 +1,5 @@
 """What the exercises 5 to 12 give, with the seeds of their sheet. Half an hour."""
 
-import itertools
 
 import compare
 import numpy as np
@@ -22,10 +21,9 @@ RUN = {  # number: what the answers call it, without, the change
     9: ("time is up: a fall", POLE, "time-limits-as-deaths")}
 SHORT = "--total-steps 32768"
 FIND = {"right": "", "10": "fault-1", "11": "fault-2", "12": "fault-3"}
-DIGITS = {"eval_return": 0, "return": 0, "value_loss": 3, "explained_variance": 2, "kl": 3,
-          "clip_fraction": 3}
-
-WORDS = "first", "median", "last"  # of the rows of a log
+SHOWN = {"first eval_return": 0, "last eval_return": 0, "first return": 0, "last return": 0,
+         "median value_loss": 3, "first explained_variance": 2, "median explained_variance": 2,
+         "median kl": 3, "median clip_fraction": 3}  # with so many digits
 JOBS = [*(with_change(job, change, seed) for seed in range(1, 6) for _, job, change in
           [*(("", job, "") for job in (LANDER, CHEETAH, POLE)), *RUN.values()]),
         *(Job(PPO, SHORT, change, seed) for seed in (1, 2, 3) for change in FIND.values())]
@@ -77,14 +75,14 @@ def draw(rows):
         medians = []
         for column in ["explained_variance", "kl"] if job.script == PPO else ["explained_variance"]:
             means = (runs[f"median {column}"].mean() for runs in (usual, changed))
-            medians.append(" → ".join(number(x, DIGITS[column]) for x in means))
+            medians.append(" → ".join(number(x, SHOWN[f"median {column}"]) for x in means))
         medians += [""] * (2 - len(medians))
         run.append([exercise, name, compare.spread(returns[1]), compare.spread(returns[0]),
                     str(gain), compare.p_text(gain.p), verdict, *medians])
-    for (column, digits), statistic in itertools.product(DIGITS.items(), WORDS):
-        right, *copies = (rows.loc[(PPO, SHORT, change), f"{statistic} {column}"].to_numpy()
+    for name, digits in SHOWN.items():
+        right, *copies = (rows.loc[(PPO, SHORT, change), name].to_numpy()
                           for change in FIND.values())
-        find.append([f"{statistic} `{column}`", cell(right, digits),
+        find.append([f"{name.replace(' ', ' `')}`", cell(right, digits),
                      *(f"**{cell(copy, digits)}**" if apart(copy, right) else cell(copy, digits)
                        for copy in copies)])
     poles = {name: rows.loc[job[:3]].sort_values("seed")
