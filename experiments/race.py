@@ -56,15 +56,13 @@ def finals_of(task, rows, column="return"):
     return {learner: curve.loc[curve["steps"] == 1, "return"] for learner, curve in curves.items()}
 
 
-def speeds_of(task):
-    """Steps a second of each learner; CleanRL's by its ratio to ours, as it ran on another day."""
+def slowness_of(task):
+    """Steps a second of ours, and how many times as long as ours each learner takes."""
     speeds = study.read("speed")
     speeds = speeds[speeds["options"] == f"--env-id {task} --total-steps 32768"]
-    beside, usual = (speeds[speeds["change"] == change].groupby("learner")["speed"].median()
-                     for change in ("CleanRL", ""))
-    ours = usual.get("ours", beside.get("ours"))
-    ratio = beside.get("CleanRL", np.nan) / beside.get("ours", np.nan)
-    return {**usual, "ours": ours, "CleanRL": ours * ratio}
+    speeds = speeds.pivot(index=["change", "seed"], columns="learner", values="speed")
+    ours = speeds["ours"].groupby("change").median()
+    return ours.get("", ours.iloc[0]), speeds.rdiv(speeds["ours"], axis="index").median()
 
 
 def draw_steps(rows, lines, holds):
@@ -95,23 +93,23 @@ def draw_steps(rows, lines, holds):
 def draw_minutes(rows):
     """Means against minutes."""
     picture, panels = pages.figure(14, 4.8, 1, 3)
-    ends = {learner: [] for learner in LEARNERS}
+    slower = []
     for axis, task in zip(panels, BEST):
-        speeds = speeds_of(task)
+        speed, slowness = slowness_of(task)
+        slower.append(slowness)
         for learner, curve in curves_of(task, rows).items():
             change, color, dashes = LEARNERS[learner]
             mean = curve.groupby("steps")["return"].mean()
-            minutes = 1e6 * mean.index / speeds[change] / 60
+            minutes = 1e6 * mean.index * slowness[change] / speed / 60
             axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
             axis.plot(minutes[-1], mean.iloc[-1], "o", color=color)
-            ends[learner].append(minutes[-1])
         axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    most, least = (max(np.divide(ends[peer], ends["ours"]))
-                   for peer in ("CleanRL", "sb3, our sizes"))
-    picture.suptitle(f"For as many steps CleanRL takes up to {most:.1f} times as long as ours,\n"
-                     f"stable-baselines3 (sb3) with our sizes up to {least:.1f} times")
+    slower = pd.DataFrame(slower)
+    times = [f"{learner.replace(',', '')} {slower[change].min():.3g} to {slower[change].max():.3g}"
+             for learner, (change, *_) in LEARNERS.items() if learner != "ours"]
+    picture.suptitle(f"Times as long as ours for a million steps:\n{'; '.join(times)}", wrap=True)
     pages.save(picture, "ppo_minutes")
 
 
@@ -124,9 +122,9 @@ def lines_of(rows, column="return"):
             yield task[:-3], peer, ours, theirs, compare.welch(ours, theirs)
 
 
-def returns_table(lines, holds):
+def returns_table(lines, holds, left_out):
     """A line for each task, a column for each learner; bold: significantly unlike ours."""
-    cells = {("Hopper", "sb3, zoo"): "left out"}
+    cells = {("Hopper", "sb3, zoo"): left_out}
     for (task, peer, ours, theirs, _), different in zip(lines, holds):
         text = [f"{compare.spread(x)} ({len(x)})" for x in (ours, theirs)]
         cells[task, "ours"], cells[task, peer] = text[0], f"**{text[1]}**" if different else text[1]
@@ -171,8 +169,10 @@ def title_of(lines, holds):
 
 
 def draw(rows):
-    rows = rows[rows[["options", "change"]].apply(tuple, axis=1) != LEFT_OUT]
-    rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), rows])
+    left_out = rows[["options", "change"]].apply(tuple, axis=1) == LEFT_OUT
+    stood = study.final_rows(rows[left_out])["return"]
+    ours = study.read("returns").replace({"change": {"": "ours"}})
+    rows = pd.concat([ours, rows[~left_out]])
     lines, in_training = list(lines_of(rows)), list(lines_of(rows, "sampled"))
     p_values = [gain.p for *_, gain in [*lines, *in_training]]  # corrected for all of them
     holds, marked = compare.holm(p_values), compare.marked(p_values)
@@ -182,7 +182,8 @@ def draw(rows):
     picture.suptitle(f"{title}\n(dashes: each seed's end; filled dots: significant, the rest may "
                      "be chance)", wrap=True)
     pages.save(picture, "ppo_race")
-    return {"race": returns_table(lines, holds), "differences": differences_table(lines, marked),
+    return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
+            "differences": differences_table(lines, marked),
             "in training": differences_table(in_training, marked[len(lines):]),
             "their settings": like_table(rows)}
 
