@@ -8,8 +8,8 @@
     python a2c_vector.py --seed 1 2 3               # or: uv run a2c_vector.py --seed 1
     python a2c_vector.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
-The first line trains three agents side by side to land on the moon, and leaves logs, agents and a
-figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
+The first command trains three agents side by side to land on the moon, and leaves logs, agents and
+a figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
 which random actions earn, to about 250; from 200 on the task counts as solved.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
@@ -45,7 +45,7 @@ Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are 
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 In shapes: T rollout_steps, N num_envs, D numbers in an observation.
-[1] Mnih et al. 2016, Asynchronous Methods for Deep Reinforcement Learning, arXiv 1602.01783 (A3C).
+[1] Mnih et al. 2016, Asynchronous Methods for Deep RL, arXiv 1602.01783: A3C; A2C is synchronous.
 [2] Schulman et al. 2016, Generalized Advantage Estimation, arXiv 1506.02438.
 [3] Pardo et al. 2018, Time Limits in Reinforcement Learning, arXiv 1712.00378.
 [4] Peng et al. 2018, Sim-to-Real Transfer ... with Dynamics Randomization, arXiv 1710.06537.
@@ -248,7 +248,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coe
 # --- Environments ---------------------------------------------------------------------------------
 
 
-def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kwargs):
+def make_envs(args, seed, count, vectorization="sync", autoreset_mode="NextStep", **kwargs):
     """A vector of `count` environments: actions (N,) in; observations (N, D), rewards (N,), … out.
 
     `--vectorization sync` steps one after the other, in this process. With async each has a process
@@ -271,6 +271,7 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
     counts first episodes, so there NextStep does no harm and takes less code.
     """
+    make_repeatable(seed)  # some environments draw numbers when they are made
     wrappers = [Tidy, gym.wrappers.RecordEpisodeStatistics]
     if args.randomize:
         wrappers.append(RandomPhysics)
@@ -336,14 +337,11 @@ class RandomPhysics(gym.Wrapper):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
+    # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
-    make_repeatable(seed)
-    eval_envs = make_envs(args, args.eval_episodes)
-    make_repeatable(seed)  # again: what these draw when they are made must not change training
-    with (closing(eval_envs),
-          closing(make_envs(args, args.num_envs, args.vectorization, "Disabled")) as envs,
+    with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
+          closing(make_envs(args, seed, args.num_envs, args.vectorization, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
@@ -372,8 +370,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # The share of the targets' variance that V predicted (target − V = A): at most 1,
-            # 0 or less if no better than a constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A): 1 perfectly, 0 no better than a
+            # constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -488,9 +486,9 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)
+        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but no longer count
+        if not playing.any():
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -511,20 +509,18 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # off screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
-        make_repeatable(seed)  # some environments draw numbers when they are made
-        with closing(make_envs(args, args.eval_episodes)) as envs:
+        with closing(make_envs(args, seed, args.eval_episodes)) as envs:
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film starts as the first of these episodes did
-        with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
+        with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
@@ -569,7 +565,8 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
+        # A trial: what fails here, fails in one line.
+        with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
@@ -585,7 +582,7 @@ def main():
         sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
-            process.join(1)  # it may have had Ctrl-C, too
+            process.join(1)  # after Ctrl-C it may be ending by itself
             process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)

@@ -8,9 +8,9 @@
     python ppo_continuous.py --seed 1 2 3               # or: uv run ppo_continuous.py --seed 1
     python ppo_continuous.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
-The first line trains three agents side by side to balance a double pendulum on a cart, and leaves
-logs, agents and a figure in a new folder in runs/. In a good run the return climbs within a minute
-from 50, which random actions earn, to 9,300; the most is 9,360.
+The first command trains three agents side by side to balance a double pendulum on a cart, and
+leaves logs, agents and a figure in a new folder in runs/. In a good run the return climbs within a
+minute from 50, which random actions earn, to 9,300; the most is 9,360.
 
 At every step the agent observes the state s of its environment (here: cart and poles), draws an
 action a from its policy π(a|s), and gets a reward r, until the episode ends. We want a high
@@ -34,13 +34,13 @@ But a rollout only shows what its own policy, π_old, did, so π must stay near 
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
-     the clip takes its gradient away once ρ > 1+ε and A > 0, or ρ < 1−ε and A < 0 (`policy_loss`).
+     the clip takes the gradient away from samples whose ρ has gone far enough (`policy_loss`).
      Before each step see, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
      max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-Steps 2, 4 and 5 are PPO; the rest are additions, usual ones [4] but for two: a schedule of σ, and
-tanh, which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
+PPO itself is 2, 4 and the loss in 5. The rest is usual, too [4], but for a schedule of σ, and tanh,
+which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -133,7 +133,7 @@ class RunningStatistics(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; small `last_gain`: π starts alike in all states."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -292,13 +292,11 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
+    # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
-    make_repeatable(seed)
-    eval_envs = make_envs(args, args.eval_episodes)
-    make_repeatable(seed)  # again: what these draw when they are made must not change training
-    with (closing(eval_envs), closing(make_envs(args, args.num_envs, "Disabled")) as envs,
+    with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
+          closing(make_envs(args, seed, args.num_envs, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
@@ -333,8 +331,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # The share of the targets' variance that V predicted (target − V = A): at most 1,
-            # 0 or less if no better than a constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A): 1 perfectly, 0 no better than a
+            # constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -409,8 +407,9 @@ def make_repeatable(seed):
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
-def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
+def make_envs(args, seed, count, autoreset_mode="NextStep", **kwargs):
     """A vector of `count` environments. "NextStep": they reset themselves; else `rollout` does."""
+    make_repeatable(seed)  # some environments draw numbers when they are made
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -466,9 +465,9 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)
+        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but no longer count
+        if not playing.any():
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -489,20 +488,18 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # off screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
-        make_repeatable(seed)  # some environments draw numbers when they are made
-        with closing(make_envs(args, args.eval_episodes)) as envs:
+        with closing(make_envs(args, seed, args.eval_episodes)) as envs:
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film starts as the first of these episodes did
-        with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
+        with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
@@ -547,7 +544,8 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
+        # A trial: what fails here, fails in one line.
+        with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
@@ -563,7 +561,7 @@ def main():
         sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
-            process.join(1)  # it may have had Ctrl-C, too
+            process.join(1)  # after Ctrl-C it may be ending by itself
             process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)

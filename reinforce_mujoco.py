@@ -8,9 +8,9 @@
     python reinforce_mujoco.py --seed 1 2 3               # or: uv run reinforce_mujoco.py --seed 1
     python reinforce_mujoco.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
-The first line trains three agents side by side to balance a pole on a cart, and leaves logs, agents
-and a figure in a new folder in runs/. In a good run the return climbs within a minute from 5, which
-random actions earn, to 1000, the most that an episode can earn.
+The first command trains three agents side by side to balance a pole on a cart, and leaves logs,
+agents and a figure in a new folder in runs/. In a good run the return climbs within a minute to
+1000, the most that an episode can earn; uniformly random actions earn 5.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
@@ -36,8 +36,8 @@ learns by trial and error: actions followed by high rewards become more likely.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
 orthogonal initial weights, a standard deviation of at least 0.1 (at first 0.8, which suits actions
-of the order of 1). If a time limit cuts an episode off after T steps, V(s_T) stands for the rewards
-that would have followed [3]; for this the critic is trained whatever the baseline. Nothing is
+of the order of 1). If a time limit cuts an episode off after T steps, G_T = V(s_T) stands for the
+rewards that would have followed [3]; so the critic is trained whatever the baseline. Nothing is
 rescaled: observations, actions and rewards should be of the order of 1.
 
 In the code: s obs, a actions, r rewards, G rewards_to_go, V values, A advantages, γ gamma.
@@ -97,7 +97,7 @@ class Agent(nn.Module):
 
 
 def mlp(inputs, hidden, outputs, last_gain):
-    """Two hidden layers, orthogonal weights; small `last_gain`: π starts alike in all states."""
+    """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
     for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
         nn.init.orthogonal_(layer.weight, gain)
@@ -176,7 +176,8 @@ def policy_loss(log_probs, advantages):
 
     A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
     loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
-      - a mean over the batch's steps, not a sum over an episode: nearly a mere rescaling;
+      - a mean over the batch's steps, not a sum over an episode: a rescaling, nearly, which Adam
+        undoes;
       - γ < 1 counts late rewards less: some bias, less noise. [2], which maximises E[G_0], also
         multiplies by γ^t; we leave this out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
@@ -191,14 +192,14 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     values = agent.value(obs)
     # Detached, as the actor's loss must not train the critic.
     advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
-    policy = agent.policy(obs)
+    policy = agent.policy(obs)  # as while playing, but now with gradients
     log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: log densities add
     loss_pi = policy_loss(log_probs, advantages)
     loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # Near 1, V follows G up to a constant; at 0 or less, subtracting V does not make G vary less.
+    # 1: V predicts G perfectly, up to a constant; 0 or less: subtracting V leaves G as varied.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -209,13 +210,11 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 def train(index, args, folder):
     """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
-    # If one seed fails, the others get SIGTERM. Handled like Ctrl-C, it closes environments.
+    # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
-    make_repeatable(seed)
-    eval_envs = make_envs(args, args.eval_episodes)  # all play at once
-    make_repeatable(seed)  # again: what these draw when they are made must not change training
-    with (closing(eval_envs), closing(make_envs(args, 1)) as envs,
+    with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
+          closing(make_envs(args, seed, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         (env,) = envs.envs  # without the vector around it, as `play` resets it itself
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
@@ -300,8 +299,9 @@ def make_repeatable(seed):
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
-def make_envs(args, count, **kwargs):
+def make_envs(args, seed, count, **kwargs):
     """A vector of `count` environments, which reset themselves, and all have a time limit."""
+    make_repeatable(seed)  # some environments draw numbers when they are made
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -360,9 +360,9 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)
+        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
         playing &= ~(terminated | truncated)
-        if not playing.any():  # those that are done play on, but no longer count
+        if not playing.any():
             break
     for restore, state in zip((np.random.set_state, random.setstate, torch.set_rng_state), states):
         restore(state)
@@ -383,20 +383,18 @@ def watch(path):
 
     Options are those of its training, except for those typed now.
     """
-    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # no screen
+    os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # off screen
     try:
         saved = torch.load(path, weights_only=True)
         if saved["options"].keys() != vars(parse_args([])).keys():
             sys.exit(f"--watch {path}: watch it with the {saved['script']} that made it")
         args = parse_args(known=argparse.Namespace(**saved["options"]))
         seed = args.seed[0]
-        make_repeatable(seed)  # some environments draw numbers when they are made
-        with closing(make_envs(args, args.eval_episodes)) as envs:
+        with closing(make_envs(args, seed, args.eval_episodes)) as envs:
             agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
             agent.load_state_dict(saved["agent"])
             print("return:", evaluate(agent, envs, seed))
-        make_repeatable(seed)  # so that the film starts as the first of these episodes did
-        with (closing(make_envs(args, 1, render_mode="rgb_array")) as envs,
+        with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps", 20)
             every = max(1, fps // 25)  # steps for a frame
@@ -441,7 +439,8 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        with closing(make_envs(args, 1)) as envs:  # a trial: what fails here, fails in one line
+        # A trial: what fails here, fails in one line.
+        with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
         sys.exit(f"--env-id {args.env_id} --out-dir {args.out_dir}: {error!r}")
@@ -457,7 +456,7 @@ def main():
         sys.exit("interrupted")  # printed last, after the figure is drawn
     finally:
         for process in torch.multiprocessing.active_children():
-            process.join(1)  # it may have had Ctrl-C, too
+            process.join(1)  # after Ctrl-C it may be ending by itself
             process.terminate()
         if any(folder.glob("*.csv")):
             plot(folder)

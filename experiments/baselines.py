@@ -25,7 +25,7 @@ def measure(job):
     if not job.options.startswith(NOISE):
         return rows
     module, args = study.load(job)
-    (env,) = module.make_envs(args, 1).envs
+    (env,) = module.make_envs(args, job.seed, 1).envs
     env.reset(seed=job.seed)
     agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
     agent.load_state_dict(weights)

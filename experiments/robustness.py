@@ -31,7 +31,7 @@ def measure(job):
 
     def play(count, seed, randomize=False, **physics):
         args.randomize = randomize
-        envs = module.make_envs(args, count, **physics)
+        envs = module.make_envs(args, job.seed, count, **physics)
         agent = module.Agent(
             envs.single_observation_space, envs.single_action_space, args.hidden_size)
         agent.load_state_dict(weights)

@@ -43,7 +43,8 @@ class Script(NamedTuple):
 
     def envs(self, env_id, count, **options):
         """Environments; by default they reset themselves."""
-        return self.module.make_envs(self.args("--env-id", env_id), count, **options)
+        seed = torch.randint(2**31, ()).item()  # another one at each call
+        return self.module.make_envs(self.args("--env-id", env_id), seed, count, **options)
 
     def agent(self, env_id, hidden_size=64):
         envs = self.envs(env_id, 1)
