@@ -76,8 +76,12 @@ def of_peers():
     ratios = ratios.groupby("options").median()
     yield f"{ratios.min():.0f} to {ratios.max():.0f} times as fast"
     rows = study.read("race")
-    hoppers = study.final_rows(rows[rows[["options", "change"]].apply(tuple, axis=1)
-                                    == race.LEFT_OUT])
+    _, lines, _, p_values = race.comparisons(rows)
+    undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
+                 if not different]
+    lower = sum(gain < 0 for gain in undecided)
+    yield f"Of the {len(undecided)} that are undecided ours is lower in {lower}"
+    hoppers = study.final_rows(rows[race.left_out(rows)])
     yield f"end at {number(hoppers['return'].min())} to {number(hoppers['return'].max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
              for trials in (earlier_trials(), later_trials())]
@@ -88,7 +92,7 @@ def of_peers():
 
 def of_cheetahs():
     """Of HalfCheetah, without noise."""
-    rows = pd.concat([study.read("returns").replace({"change": {"": "ours"}}), study.read("race")])
+    rows, *_ = race.comparisons(study.read("race"))
     finals = race.finals_of("HalfCheetah-v5", rows)
     low = finals["ours"].min()
     highs = (number(finals[peer].max()) for peer in ("CleanRL", "sb3, defaults"))

@@ -96,19 +96,20 @@ def draw_minutes(rows):
     slower = []
     for axis, task in zip(panels, BEST):
         speed, slowness = slowness_of(task)
-        slower.append(slowness)
+        slower.append({})
         for learner, curve in curves_of(task, rows).items():
             change, color, dashes = LEARNERS[learner]
             mean = curve.groupby("steps")["return"].mean()
             minutes = 1e6 * mean.index * slowness[change] / speed / 60
             axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
             axis.plot(minutes[-1], mean.iloc[-1], "o", color=color)
+            slower[-1][learner] = slowness[change]
         axis.set(title=task[:-3], xlabel="minutes")
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     slower = pd.DataFrame(slower)
-    times = [f"{learner.replace(',', '')} {slower[change].min():.3g} to {slower[change].max():.3g}"
-             for learner, (change, *_) in LEARNERS.items() if learner != "ours"]
+    times = [f"{name.replace(',', '')} {slower[name].min():.1f} to {slower[name].max():.1f}"
+             for name in LEARNERS if name != "ours"]
     picture.suptitle(f"Times as long as ours for a million steps:\n{'; '.join(times)}", wrap=True)
     pages.save(picture, "ppo_minutes")
 
@@ -168,13 +169,21 @@ def title_of(lines, holds):
     return "; ".join(f"{side} {', '.join(peers)}" for side, peers in leads.items())
 
 
-def draw(rows):
-    left_out = rows[["options", "change"]].apply(tuple, axis=1) == LEFT_OUT
-    stood = study.final_rows(rows[left_out])["return"]
+def left_out(rows):
+    return rows[["options", "change"]].apply(tuple, axis=1) == LEFT_OUT
+
+
+def comparisons(rows):
+    """All rows with ours; lines without noise and in training; p-values, to correct for both."""
     ours = study.read("returns").replace({"change": {"": "ours"}})
-    rows = pd.concat([ours, rows[~left_out]])
+    rows = pd.concat([ours, rows[~left_out(rows)]])
     lines, in_training = list(lines_of(rows)), list(lines_of(rows, "sampled"))
-    p_values = [gain.p for *_, gain in [*lines, *in_training]]  # corrected for all of them
+    return rows, lines, in_training, [gain.p for *_, gain in [*lines, *in_training]]
+
+
+def draw(rows):
+    stood = study.final_rows(rows[left_out(rows)])["return"]
+    rows, lines, in_training, p_values = comparisons(rows)
     holds, marked = compare.holm(p_values), compare.marked(p_values)
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
