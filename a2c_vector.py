@@ -271,7 +271,7 @@ def make_envs(args, seed, count, vectorization="sync", autoreset_mode="NextStep"
     `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
     counts first episodes, so there NextStep does no harm and takes less code.
     """
-    make_repeatable(seed)  # some environments draw numbers when they are made
+    make_repeatable(seed)  # what environments draw when they are made must change nothing else
     wrappers = [Tidy, gym.wrappers.RecordEpisodeStatistics]
     if args.randomize:
         wrappers.append(RandomPhysics)
@@ -486,7 +486,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
+        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break

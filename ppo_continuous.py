@@ -34,13 +34,13 @@ But a rollout only shows what its own policy, π_old, did, so π must stay near 
   5. Go through the rollout several times, in minibatches. On each, take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
-     the clip takes the gradient away from samples whose ρ has gone far enough (`policy_loss`).
+     the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
      Before each step see, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
      max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-PPO itself is 2, 4 and the loss in 5. The rest is usual, too [4], but for a schedule of σ, and tanh,
-which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
+PPO itself is 2, 4 and 5's minibatches and loss. The rest is usual [4], but for σ's schedule and for
+tanh, which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -409,7 +409,7 @@ def make_repeatable(seed):
 
 def make_envs(args, seed, count, autoreset_mode="NextStep", **kwargs):
     """A vector of `count` environments. "NextStep": they reset themselves; else `rollout` does."""
-    make_repeatable(seed)  # some environments draw numbers when they are made
+    make_repeatable(seed)  # what environments draw when they are made must change nothing else
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -465,7 +465,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
+        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break

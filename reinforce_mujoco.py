@@ -176,7 +176,7 @@ def policy_loss(log_probs, advantages):
 
     A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
     loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
-      - a mean over the batch's steps, not a sum over an episode: a rescaling, nearly, which Adam
+      - a mean over the batch's steps, not a sum over an episode: nearly a rescaling, which Adam
         undoes;
       - γ < 1 counts late rewards less: some bias, less noise. [2], which maximises E[G_0], also
         multiplies by γ^t; we leave this out, because late steps would hardly count;
@@ -199,7 +199,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
     optimizer.zero_grad()
     (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
     optimizer.step()
-    # 1: V predicts G perfectly, up to a constant; 0 or less: subtracting V leaves G as varied.
+    # 1: V predicts G perfectly, up to a constant; 0 or less: no better than a constant.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -301,7 +301,7 @@ def make_repeatable(seed):
 
 def make_envs(args, seed, count, **kwargs):
     """A vector of `count` environments, which reset themselves, and all have a time limit."""
-    make_repeatable(seed)  # some environments draw numbers when they are made
+    make_repeatable(seed)  # what environments draw when they are made must change nothing else
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -360,7 +360,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # who is done plays on, but no longer counts
+        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break

@@ -23,6 +23,9 @@ def of_runs():
     stand = sum(humanoids > returns.STANDING["Humanoid-v5"])
     yield f"5,000, which {stand} of 10 exceed"
     yield f"{10 - stand} of 10 humanoids earn less than staying upright would"
+    noise = finals["return"] - finals["sampled"]
+    reacher, pusher = (noise[returns.TASKS[f"{task}-v5"]].mean() for task in ("Reacher", "Pusher"))
+    yield f"Noise costs ours {reacher:.0f} points on Reacher, {pusher:.0f} on Pusher"
     for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid":
         yield f"{task} {compare.spread(finals.loc[returns.TASKS[f'{task}-v5'], 'return'])}"
     first = study.read("other_machine").set_index(["options", "seed"])["return"]
@@ -71,10 +74,13 @@ def of_the_ablation():
 
 
 def of_peers():
-    ratios = study.read("speed").query("change == 'CleanRL'").pivot(
-        index=["options", "seed"], columns="learner", values="speed").eval("ours / CleanRL")
-    ratios = ratios.groupby("options").median()
-    yield f"{ratios.min():.0f} to {ratios.max():.0f} times as fast"
+    speeds = study.read("speed").query("script == @variants.PPO").pivot(
+        index=["options", "change", "seed"], columns="learner", values="speed")
+    ratios = speeds.rdiv(speeds["ours"], axis="index").groupby("options").median()
+    low, high = ratios.min(), ratios.max()
+    yield f"{low['CleanRL']:.0f} to {high['CleanRL']:.0f} times as fast"
+    more = (f"{100 * x['our sizes'] - 100:.0f}" for x in (low, high))
+    yield f"{' to '.join(more)}% faster than sb3's"
     rows = study.read("race")
     _, lines, _, p_values = race.comparisons(rows)
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
@@ -97,8 +103,11 @@ def of_cheetahs():
     low = finals["ours"].min()
     highs = (number(finals[peer].max()) for peer in ("CleanRL", "sb3, defaults"))
     yield f"and of sb3's defaults: {number(low)} to {' and '.join(highs)}"
-    ours, cleanrl, sb3, *_ = (number(finals[learner].mean()) for learner in race.LEARNERS)
+    means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
+    ours, cleanrl, sb3 = map(number, means)
     yield f"with their defaults, {ours} against {cleanrl} and {sb3}"
+    yield f"ours earns {means[0] / means[1]:.1f} times as much as CleanRL's"
+    yield f"and {means[0] / means[2]:.1f} times as much as stable-baselines3's"
 
 
 def of_others_settings():

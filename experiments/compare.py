@@ -17,8 +17,8 @@ class Difference(NamedTuple):
     def __str__(self):
         return f"{number(self.gain)} ({self.interval()})"
 
-    def interval(self, digits=0):
-        return " to ".join(number(self.gain + sign * self.margin, digits) for sign in (-1, 1))
+    def interval(self):
+        return " to ".join(number(self.gain + sign * self.margin) for sign in (-1, 1))
 
 
 def difference(test):

@@ -1,6 +1,5 @@
 """What the exercises 5 to 12 give, with the seeds of their sheet. Half an hour."""
 
-
 import compare
 import numpy as np
 import pages

@@ -45,9 +45,9 @@ def main(folders):
     finals = finals.groupby("setting", sort=False)  # in the order of the folders
     print(finals.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
     for (one, x), (other, y) in itertools.combinations(finals, 2):
-        gain = compare.welch(y, x)
-        print(f"{other} − {one}: {compare.number(gain.gain, 1)}, 95%: {gain.interval(1)}, "
-              f"p = {gain.p:.3g}")
+        gain, margin, p = compare.welch(y, x)
+        print(f"{other} − {one}: {gain:.4g}, 95%: {gain - margin:.4g} to {gain + margin:.4g}, "
+              f"p = {p:.3g}")
     picture, (axis,) = pages.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)

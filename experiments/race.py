@@ -108,7 +108,7 @@ def draw_minutes(rows):
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     slower = pd.DataFrame(slower)
-    times = [f"{name.replace(',', '')} {slower[name].min():.1f} to {slower[name].max():.1f}"
+    times = [f"{name.replace(',', '')} {slower[name].min():.3g} to {slower[name].max():.3g}"
              for name in LEARNERS if name != "ours"]
     picture.suptitle(f"Times as long as ours for a million steps:\n{'; '.join(times)}", wrap=True)
     pages.save(picture, "ppo_minutes")
@@ -123,9 +123,9 @@ def lines_of(rows, column="return"):
             yield task[:-3], peer, ours, theirs, compare.welch(ours, theirs)
 
 
-def returns_table(lines, holds, left_out):
+def returns_table(lines, holds, zoo_hopper):
     """A line for each task, a column for each learner; bold: significantly unlike ours."""
-    cells = {("Hopper", "sb3, zoo"): left_out}
+    cells = {("Hopper", "sb3, zoo"): zoo_hopper}
     for (task, peer, ours, theirs, _), different in zip(lines, holds):
         text = [f"{compare.spread(x)} ({len(x)})" for x in (ours, theirs)]
         cells[task, "ours"], cells[task, peer] = text[0], f"**{text[1]}**" if different else text[1]

@@ -343,7 +343,7 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
     out = capsys.readouterr().out
     for setting in "256 +2 +4.0", "512 +2 +11.0":  # the later of two runs of a seed counts
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
-    assert "total_steps 256 − total_steps 512: −7.0, 95%: −" in out
+    assert "total_steps 256 − total_steps 512: -7, 95%: -" in out
     assert f"has not ended: {cut}.csv" in out
     assert (tmp_path / "merged.png").exists()
     with pytest.raises(SystemExit, match="usage: .*FOLDER"):
