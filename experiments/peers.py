@@ -119,11 +119,11 @@ def learn(job):
     return rows
 
 
-def run_cleanrl(args, after_update=lambda script: None):
+def run_cleanrl(args, after_update=lambda script, step: None):
     """Run CleanRL's script; returns what it logs, a row for each value, with its tag and the step.
 
     It gets its options without tyro, and tells its log to us instead of TensorBoard.
-    `after_update(script)` is called after each of its updates, with its global names.
+    `after_update(script, step)` is called after each of its updates, with its global names.
     """
     torch.set_num_threads(1)
     text, old = Path(CLEANRL).read_text("utf-8"), "lambda obs: np.clip(obs, -10, 10)"
@@ -136,7 +136,7 @@ def run_cleanrl(args, after_update=lambda script: None):
     def add_scalar(tag, value, step):
         log.append({"tag": tag, "value": value, "steps": step})
         if tag == "charts/SPS":  # the last of an update
-            after_update(script)
+            after_update(script, step)
 
     theirs = {"tyro": mock.Mock(cli=lambda Args: Args(**options)),
               "torch.utils.tensorboard": mock.Mock(
@@ -172,8 +172,9 @@ def learn_cleanrl(args, evaluate):
     """
     envs, evaluations = gym.make_vec(args.env_id, 10, wrappers=[gym.wrappers.ClipAction]), []
 
-    def after_update(script):
-        if 20 * script["update"] // script["num_updates"] > len(evaluations):
+    def after_update(script, step):
+        batch_size = script["args"].batch_size
+        if 20 * (step // batch_size) // (args.total_steps // batch_size) > len(evaluations):
             evaluations.append(evaluate(CleanRLAgent(script), envs, args.seed[0]))
 
     log = run_cleanrl(args, after_update)

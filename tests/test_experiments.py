@@ -255,8 +255,8 @@ if __name__ == "__main__":
     envs.reset(seed=args.seed)
     envs.envs[0].get_wrapper_attr("obs_rms").mean[1] = 1.0  # of steps, which are 0 at first
     envs.envs[0].get_wrapper_attr("obs_rms").var[1] = 4.0
-    num_updates = args.total_timesteps // 2
-    for update in range(1, num_updates + 1):
+    args.batch_size = 2
+    for update in range(1, args.total_timesteps // 2 + 1):
         print("update", update)
         for step in 2 * update - 1, 2 * update:
             writer.add_scalar("charts/episodic_return", step, step)
