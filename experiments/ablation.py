@@ -67,8 +67,8 @@ def draw_gains(details, order, tasks):
         axis.set(title=title, xlabel="change in return, %", xlim=(-100, 35))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
     picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
-                     f"worse, in {better} better (filled dots)\nhollow: may be chance, as so many "
-                     "are compared, even where a 95% interval leaves out 0")
+                     f"worse, in {better} better: filled dots\nhollow: undecided, even where the 95% "
+                     "interval, not corrected for so many, leaves out 0")
     pages.save(picture, "ablation")
 
 
@@ -79,7 +79,7 @@ def draw(rows):
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="gain, %").loc[order]
     usual = {task: study.load(TABLES[task][0])[1] for task in texts}
-    titles = {task: f"{task},\n{args.total_steps:,} steps, σ to {args.last_std}"
+    titles = {task: f"{task},\n{args.total_steps:,} steps, σ ends at {args.last_std}"
               for task, args in usual.items()}
     draw_gains(details, order, titles)
     lines = [["return as it is (± std)", *details.groupby("table")["without"].first()],

@@ -86,7 +86,9 @@ def of_peers():
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
-    yield f"Of the {len(undecided)} that are undecided ours is lower in {lower}"
+    yield (f"Of {len(lines)} comparisons of PPO without noise {len(lines) - len(undecided)} are "
+           "significant")
+    yield f"{len(undecided)} are undecided; ours is lower in {lower}"
     hoppers = study.final_rows(rows[race.left_out(rows)])
     yield f"end at {number(hoppers['return'].min())} to {number(hoppers['return'].max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
@@ -105,7 +107,8 @@ def of_cheetahs():
     yield f"and of sb3's defaults: {number(low)} to {' and '.join(highs)}"
     means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
     ours, cleanrl, sb3 = map(number, means)
-    yield f"with their defaults, {ours} against {cleanrl} and {sb3}"
+    yield f"it earns {ours};"
+    yield f"run here with their defaults, {cleanrl} and {sb3}"
     yield f"ours earns {means[0] / means[1]:.1f} times as much as CleanRL's"
     yield f"and {means[0] / means[2]:.1f} times as much as stable-baselines3's"
 
@@ -114,7 +117,7 @@ def of_others_settings():
     """Of our script on HalfCheetah, with the settings of others."""
     finals = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
     theirs, sb3, _ = (compare.spread(finals[like]) for like in race.LIKE.values())
-    yield f"{theirs} with CleanRL's settings, {sb3} with sb3's and our sizes"
+    yield f"{theirs} with CleanRL's settings, {sb3} with sb3's but our sizes"
 
 
 def earlier_trials():

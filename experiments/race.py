@@ -82,6 +82,8 @@ def draw_steps(rows, lines, holds):
                 below.errorbar(gain.gain, peers_below.index(peer), xerr=gain.margin, fmt="o",
                                color=color, capsize=3, mfc=color if different else "white")
         below.axvline(0, color="grey")
+        if LEFT_OUT[0] == returns.TASKS[task]:
+            below.text(0.02, peers_below.index("sb3, zoo"), " left out, see below", va="center")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
         below.set(xlabel="peer better ← 0 → ours better", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("return without noise")
@@ -108,9 +110,11 @@ def draw_minutes(rows):
     panels[0].set_ylabel("return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     slower = pd.DataFrame(slower)
-    times = [f"{name.replace(',', '')} {slower[name].min():.3g} to {slower[name].max():.3g}"
+    low, high = slower.min(), slower.max()
+    times = [f"{name.replace(',', '')} {low[name]:.2f} to {high[name]:.2f}"
              for name in LEARNERS if name != "ours"]
-    picture.suptitle(f"Times as long as ours for a million steps:\n{'; '.join(times)}", wrap=True)
+    picture.suptitle("A million steps take others so many times as long as ours:\n"
+                     + "; ".join(times))
     pages.save(picture, "ppo_minutes")
 
 
@@ -188,8 +192,8 @@ def draw(rows):
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
     title = title_of(lines, holds) or "No difference"
-    picture.suptitle(f"{title}\n(dashes: each seed's end; filled dots: significant, the rest may "
-                     "be chance)", wrap=True)
+    picture.suptitle(f"{title}\nabove: means, and each seed's end; below: 95% intervals, filled if "
+                     "significant after Holm's correction", wrap=True)
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),

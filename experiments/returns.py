@@ -41,16 +41,18 @@ def draw_tasks(of_task):
     for axis, task, first in zip(panels, PANELS, 2 * (True, False, False)):
         runs = of_task[task].assign(millions=of_task[task]["steps"] / 1e6)
         pages.curves(runs, "millions", axis, label="evaluation: mean (thin: each seed)",
-                     xlabel="million steps" * (axis is panels[4]), ylabel="return" * first,
-                     title=f"{task[:-3]}\n{at_threshold(task, runs)}")
+                     xlabel="million steps" * (axis is panels[4]), ylabel="return" * first)
+        goal, title = gym.spec(task).reward_threshold, at_threshold(task, runs)
+        if goal is not None and goal < 1.25 * runs["return"].max():
+            axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
+        elif goal is not None:
+            title += " (off the scale)"
+        axis.set_title(f"{task[:-3]}\n{title}")
         sampled = runs.groupby("millions")["sampled"].mean()
         axis.plot(sampled, "C1-.", lw=3, label="in training: mean")
         if task in STANDING:
             axis.axhline(STANDING[task], color="black", ls="--", lw=1.5,
                          label="staying upright to the end")
-        goal = gym.spec(task).reward_threshold
-        if goal is not None and goal < 1.25 * runs["return"].max():  # others: in the title alone
-            axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
         axis.get_legend().remove()
     picture.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     finals = {task: study.final_rows(of_task[task])["return"] for task in PANELS}
