@@ -189,14 +189,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
-    is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
-    But V is learned, and λ trades its error for noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
+    without the noise of later actions, and later δ have mean 0, so any λ is right. But V is
+    learned, and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
                    last V is 0, and this is REINFORCE with the baseline V
-        otherwise  in between: the δ of k steps later counts λ^k as much
+        otherwise  in between: δ_{t+k} has λ^k of the weight that it has for λ = 1
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -456,7 +456,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Fetch it again: if it is a property, our copy is not the one that counts.
+                # Fetch it again: if it is a property, our copy does not count.
                 getattr(self.unwrapped, name).seed(seed + i)
         # Where the vector has taken its mask out, {} is left, which some environments refuse.
         return self.env.reset(seed=seed, options=options or None)[0], {}
@@ -476,8 +476,8 @@ def check_finite(name, x):
 def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
-    It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. `before_step(step)` is called before each step.
+    Always from the same starts; it leaves the generators as they were. Without a time limit it ends
+    after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -522,7 +522,7 @@ def watch(path):
             print("return:", evaluate(agent, envs, seed))
         with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
-            fps = envs.metadata.get("render_fps", 20)
+            fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps for a frame
             duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 

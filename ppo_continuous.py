@@ -17,17 +17,17 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
 *return*, the sum of all rewards of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
-    the critic  V(s)                        the mean, if π acts, of the *reward to go* from s on:
+    the critic  V(s)                        the mean *reward to go* from s on, if π acts:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
 With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they usually owe
-little to the action at t. The *advantage* A of an action is how much higher G is, on average, if we
-take it in s and then follow π, than if we follow π from s on. A *rollout* of recorded steps gives a
-noisy estimate: G − V(s). Actions with A > 0 become more likely, those with A < 0 less. Simpler
-algorithms, like A2C, take one gradient step on a rollout; PPO [1] takes many, so as to learn more.
-But a rollout only shows what its own policy, π_old, did, so π must stay near π_old. One update:
+little to the action at t. The *advantage* A of an action is by how much the mean of G exceeds V(s)
+if we take it in s and then follow π. A *rollout* of recorded steps gives noisy estimates: G − V(s).
+Actions with A > 0 become more likely, those with A < 0 less. Simpler algorithms, like A2C, take one
+gradient step on a rollout; PPO [1] takes many, so as to learn more. But a rollout only shows what
+its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal, linearly: the learning rate to 0; σ, which sets the exploration, from 0.6 to 0.2.
+  1. Anneal, linearly: the learning rate to 0; σ, the noise that tries things out, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
@@ -35,12 +35,12 @@ But a rollout only shows what its own policy, π_old, did, so π must stay near 
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
-     Before each step see, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
+     Before each step measure, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
      max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
-PPO itself is 2, 4 and 5's minibatches and loss. The rest is usual [4], but for σ's schedule and for
-tanh, which bounds actions. Left out: entropy bonus; clipped rewards, gradients and value loss.
+PPO itself is 2, 4, and the minibatches and loss of 5. The rest is usual [4], except σ's schedule,
+and tanh, which bounds actions. Left out: entropy bonus; clipping of rewards, gradients, value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -142,7 +142,7 @@ def mlp(inputs, hidden, outputs, last_gain):
 
 
 def squash(actions, space):
-    """Map actions (N, K) of any size into the bounds of the action space.
+    """Map unbounded actions (N, K) into the bounds of the action space.
 
     This is the environment's business: PPO sees the action a as drawn, and its density π(a|s).
     (The squashed action's density has one more factor, the same in π and π_old, so ρ is the same.)
@@ -193,8 +193,8 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    V predicts a sum of later rewards, not known yet. F weighs past ones in the same way, so it
-    usually spreads about as much. While F does not vary, rewards stay as they are. `past_rewards`
+    V predicts the discounted sum of later rewards. F is that of past ones: known by now, and
+    usually spread about as much. While F does not vary, rewards stay as they are. `past_rewards`
     is the F to start from, (N,) or 0. Returns the scaled rewards, and the F to go on from.
     """
     sums = torch.empty_like(rewards)
@@ -217,14 +217,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is its mean, by definition. Then r_t + γ·V(s_{t+1})
-    is right on average, without the noise of later actions; later δ have mean 0, so any λ is right.
-    But V is learned, and λ trades its error for noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
+    without the noise of later actions, and later δ have mean 0, so any λ is right. But V is
+    learned, and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
                    last V is 0, and this is REINFORCE with the baseline V
-        otherwise  in between: the δ of k steps later counts λ^k as much
+        otherwise  in between: δ_{t+k} has λ^k of the weight that it has for λ = 1
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -235,17 +235,16 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    How much better is π than π_old? Take one action from π, then go on with π_old. As A is measured
-    against the average action of π_old, the mean of G rises by
+    How much better is π than π_old? Take one action from π, then go on with π_old. As A says what
+    an action adds to V, the mean of G rises by
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
     Summed with weights γ^t over the states that π meets, this is the exact gain in discounted
-    return [5]. PPO takes the states that π_old has met instead, which is nearly the same while π is
-    near π_old, drops γ^t, with which late steps would hardly count, and maximises E[ρ·A]. At ρ = 1,
-    where an update starts, its gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther
-    away the estimate gets worse, so a sample drops out once ρ has gone far enough in the direction
-    of A:
+    return [5]. PPO maximises E[ρ·A] over the states that π_old has met, which is nearly the same
+    while π is near π_old, and drops γ^t, with which late steps would hardly count. At ρ = 1, where
+    an update starts, its gradient is E[A·∇log π], as in A2C, because ∇ρ = ρ·∇log π. Farther away
+    the estimate gets worse, so a sample drops out once ρ has gone far enough in the direction of A:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -266,7 +265,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
-    and averaged over states. It is 0.03, the limit, if K = 1 and μ has moved by about σ/4.
+    and averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):
@@ -435,7 +434,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Fetch it again: if it is a property, our copy is not the one that counts.
+                # Fetch it again: if it is a property, our copy does not count.
                 getattr(self.unwrapped, name).seed(seed + i)
         # Where the vector has taken its mask out, {} is left, which some environments refuse.
         return self.env.reset(seed=seed, options=options or None)[0], {}
@@ -455,8 +454,8 @@ def check_finite(name, x):
 def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
-    It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. `before_step(step)` is called before each step.
+    Always from the same starts; it leaves the generators as they were. Without a time limit it ends
+    after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -501,7 +500,7 @@ def watch(path):
             print("return:", evaluate(agent, envs, seed))
         with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
-            fps = envs.metadata.get("render_fps", 20)
+            fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps for a frame
             duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 

@@ -324,7 +324,7 @@ class Tidy(gym.Wrapper):
         if seed is not None:
             for i, name in enumerate(("observation_space", "action_space"), start=1):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
-                # Fetch it again: if it is a property, our copy is not the one that counts.
+                # Fetch it again: if it is a property, our copy does not count.
                 getattr(self.unwrapped, name).seed(seed + i)
         return self.look(self.env.reset(seed=seed)[0]), {}
 
@@ -350,8 +350,8 @@ def check_finite(name, x):
 def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
-    It always has the same starts, and leaves the generators as they were. Without a time limit it
-    ends after 1,000 steps. `before_step(step)` is called before each step.
+    Always from the same starts; it leaves the generators as they were. Without a time limit it ends
+    after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -396,7 +396,7 @@ def watch(path):
             print("return:", evaluate(agent, envs, seed))
         with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
-            fps = envs.metadata.get("render_fps", 20)
+            fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps for a frame
             duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
