@@ -67,7 +67,8 @@ def draw(rows):
     for i, p in enumerate(compare.marked(tests[2:])):  # those of "none" compare it with itself
         lines[1 + i // 2][2 + i % 2] += f", p {p}"
     picture, (left, middle, right) = pages.figure(13, 5, 1, 3)
-    titles = "variance of the gradient after\n10,000 steps (none: 1)", "return, averaged\nover the run"
+    titles = ("variance of the gradient after\n10,000 steps (none: 1)",
+              "return, averaged\nover the run")
     for axis, dots, title in zip((left, right), (variance, whole), titles):
         sns.swarmplot(dots, color="black", size=6, ax=axis)
         for i, name in enumerate(BASELINES):
