@@ -78,7 +78,8 @@ def of_peers():
         index=["options", "change", "seed"], columns="learner", values="speed")
     ratios = speeds.rdiv(speeds["ours"], axis="index").groupby("options").median()
     low, high = ratios.min(), ratios.max()
-    yield f"{low['CleanRL']:.0f} to {high['CleanRL']:.0f} times as fast"
+    for peer in "CleanRL", "defaults":
+        yield f"PPO is {low[peer]:.0f} to {high[peer]:.0f} times as fast as peers with their defaults"
     more = (f"{100 * x['our sizes'] - 100:.0f}" for x in (low, high))
     yield f"{' to '.join(more)}% faster than sb3's"
     rows = study.read("race")
