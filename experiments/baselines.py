@@ -84,8 +84,9 @@ def draw(rows):
     middle.legend(loc="lower right")
     middle.axhline(950, ls=":", color="black", lw=1.5)
     faster = compare.holm(tests[2:]).any()
-    picture.suptitle("REINFORCE on InvertedPendulum: a baseline makes the gradient less noisy"
-                     f"{' and learning faster' if faster else '; faster learning may be chance'}")
+    verdict = "and learning faster" if faster else "faster learning may be chance"
+    picture.suptitle("A baseline makes REINFORCE's gradient less noisy (InvertedPendulum);\n"
+                     + verdict)
     pages.save(picture, "baselines")
     return {"baselines": pages.table(
         ["`--baseline`", "variance of the gradient, none = 1", f"return after {EARLY:,} steps",

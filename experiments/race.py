@@ -83,7 +83,7 @@ def draw_steps(rows, lines, holds):
                                color=color, capsize=3, mfc=color if different else "white")
         below.axvline(0, color="grey")
         if LEFT_OUT[0] == returns.TASKS[task]:
-            below.text(0.02, peers_below.index("sb3, zoo"), " left out, see below", va="center")
+            below.text(0.02, peers_below.index("sb3, zoo"), " left out: stands still", va="center")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
         below.set(xlabel="peer better ← 0 → ours better", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("return without noise")
@@ -191,7 +191,8 @@ def draw(rows):
     holds, marked = compare.holm(p_values), compare.marked(p_values)
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
-    title = title_of(lines, holds) or "No difference"
+    drawn = [different for (task, *_), different in zip(lines, holds) if f"{task}-v5" in BEST]
+    title = f"{title_of(lines, holds)}; the other {drawn.count(False)} differences are undecided"
     picture.suptitle(f"{title}\nabove: means, and each seed's end; below: 95% intervals, filled if "
                      "significant after Holm's correction", wrap=True)
     pages.save(picture, "ppo_race")

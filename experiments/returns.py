@@ -46,7 +46,7 @@ def draw_tasks(of_task):
         if goal is not None and goal < 1.25 * runs["return"].max():
             axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
         elif goal is not None:
-            title += " (off the scale)"
+            title += ", off scale"
         axis.set_title(f"{task[:-3]}\n{title}")
         sampled = runs.groupby("millions")["sampled"].mean()
         axis.plot(sampled, "C1-.", lw=3, label="in training: mean")
