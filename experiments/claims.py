@@ -117,7 +117,7 @@ def of_cheetahs():
     yield f"sb3's zoo has {number(finals['sb3, zoo'].mean())}"
     means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
     ours, cleanrl, sb3 = map(number, means)
-    yield f"it earns {ours};"
+    yield f"our largest lead, ours earns {ours}"
     yield f"run here with their defaults, {cleanrl} and {sb3}"
     yield f"ours earns {means[0] / means[1]:.1f} times as much as CleanRL's"
     yield f"and {means[0] / means[2]:.1f} times as much as stable-baselines3's"
