@@ -31,7 +31,7 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
      average. A + V(s) then estimates the reward to go: the target for V.
   5. Take one gradient step, on the whole rollout, to lower
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)      with A standardised
-     It makes actions with A > 0 more likely, the others less. The entropy is high while π is
+     The step makes actions with A > 0 more likely, the others less. The entropy is high while π is
      undecided; the bonus keeps π from settling on one action before it has tried the others. Then
      throw the rollout away, because it shows what the old π did.
   6. Update the statistics that normalise observations. Start again at 1.
@@ -189,9 +189,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
-    without the noise of later actions, and later δ have mean 0, so any λ is right. But V is
-    learned, and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is the mean of that. Then δ_t alone is right on
+    average, and later δ, with mean 0, only add noise: any λ is right, 0 the best. But V is learned,
+    and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
@@ -222,15 +222,15 @@ def policy_loss(log_probs, advantages):
 
     as, given s_t and a_t, A_t has nearly the same mean as the bracket and far less noise (nearly,
     since it discounts, and relies on V). The mean in the loss only rescales the gradient. The
-    actions must come from π as it is now, so a rollout serves for one step only. (The states in
-    which it begins are due to older π, which differ little.)
+    actions must come from π as it is now, so a rollout serves for one gradient step. (Older π,
+    little different, led to the states in which it begins.)
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
-    # Mean 0 (it acts nearly as a baseline, like V) and standard deviation 1, so that c and the
+    # Mean 0 (the mean is nearly a baseline, like V) and standard deviation 1, so that c and the
     # actor's clipping suit rewards of any size.
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
@@ -271,7 +271,7 @@ def make_envs(args, seed, count, vectorization="sync", autoreset_mode="NextStep"
     `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
     counts first episodes, so there NextStep does no harm and takes less code.
     """
-    make_repeatable(seed)  # what environments draw when they are made must change nothing else
+    make_repeatable(seed)  # what environments draw when they are made is repeated, too
     wrappers = [Tidy, gym.wrappers.RecordEpisodeStatistics]
     if args.randomize:
         wrappers.append(RandomPhysics)
@@ -292,9 +292,9 @@ class RandomPhysics(gym.Wrapper):
     """`--randomize`: each episode has its own gravity, and about half of them have wind [4].
 
     An agent is often meant for a world that we know only roughly, say a robot that is trained in a
-    simulator. So we maximise the mean return over many physics φ: E_φ[E[return | π, φ]]. π does not
-    observe φ, so one policy has to do for all moons. Mean returns (± std over ten agents), by
-    `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` or `--randomize`:
+    simulator. So we train and evaluate on many physics φ, and maximise E_φ[E[return | π, φ]]. π
+    does not observe φ, so one policy has to do for all moons. Mean returns (± std over ten agents),
+    by `--watch AGENT.pt --seed 99 --eval-episodes 100`, with `--no-randomize` or `--randomize`:
 
         trained             usual moon    random moons
         as usual            249 ± 17      199 ± 28
@@ -343,6 +343,7 @@ def train(index, args, folder):
     with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
           closing(make_envs(args, seed, args.num_envs, args.vectorization, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
+        make_repeatable(seed)  # the initial weights, and all that follows
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, eps=1e-5, fused=True)
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -370,8 +371,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A): 1 perfectly, 0 no better than a
-            # constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0 no
+            # better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -458,7 +459,7 @@ class Tidy(gym.Wrapper):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
                 # Fetch it again: if it is a property, our copy does not count.
                 getattr(self.unwrapped, name).seed(seed + i)
-        # Where the vector has taken its mask out, {} is left, which some environments refuse.
+        # Where the vector has taken out its mask, {} is left, which some environments refuse.
         return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
@@ -467,7 +468,7 @@ class Tidy(gym.Wrapper):
 
 
 def check_finite(name, x):
-    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    """Return x. ValueError if a number in it is NaN or infinite."""
     if not np.isfinite(np.asarray(x)).all():
         raise ValueError(f"{name} is NaN or infinite")
     return x

@@ -217,9 +217,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
-    without the noise of later actions, and later δ have mean 0, so any λ is right. But V is
-    learned, and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is the mean of that. Then δ_t alone is right on
+    average, and later δ, with mean 0, only add noise: any λ is right, 0 the best. But V is learned,
+    and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
         λ = 0      A_t = δ_t: little noise, but all of V's error
         λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
@@ -297,6 +297,7 @@ def train(index, args, folder):
     with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
           closing(make_envs(args, seed, args.num_envs, "Disabled")) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
+        make_repeatable(seed)  # the initial weights, and all that follows
         agent = Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         reward_stats, past_rewards = RunningStatistics(), 0.0
@@ -330,8 +331,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A): 1 perfectly, 0 no better than a
-            # constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0 no
+            # better than a constant. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -408,7 +409,7 @@ def make_repeatable(seed):
 
 def make_envs(args, seed, count, autoreset_mode="NextStep", **kwargs):
     """A vector of `count` environments. "NextStep": they reset themselves; else `rollout` does."""
-    make_repeatable(seed)  # what environments draw when they are made must change nothing else
+    make_repeatable(seed)  # what environments draw when they are made is repeated, too
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -436,7 +437,7 @@ class Tidy(gym.Wrapper):
                 vars(self.unwrapped)[name] = copy.deepcopy(getattr(self.unwrapped, name))
                 # Fetch it again: if it is a property, our copy does not count.
                 getattr(self.unwrapped, name).seed(seed + i)
-        # Where the vector has taken its mask out, {} is left, which some environments refuse.
+        # Where the vector has taken out its mask, {} is left, which some environments refuse.
         return self.env.reset(seed=seed, options=options or None)[0], {}
 
     def step(self, action):
@@ -445,7 +446,7 @@ class Tidy(gym.Wrapper):
 
 
 def check_finite(name, x):
-    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    """Return x. ValueError if a number in it is NaN or infinite."""
     if not np.isfinite(np.asarray(x)).all():
         raise ValueError(f"{name} is NaN or infinite")
     return x

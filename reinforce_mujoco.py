@@ -18,7 +18,8 @@ environment answers with a reward r (1 while the pole is up) and the next state,
 ends. We want a high *return*, the sum of all rewards of an episode.
 
 The policy is a Gaussian whose mean and standard deviation come from a neural network, the actor. It
-learns by trial and error: actions followed by high rewards become more likely.
+learns by trial and error: actions followed by high rewards become more likely. Evaluations play
+the mean.
 
   1. Play a batch of episodes with π.
   2. For each step t, compute the *reward to go*: the rewards from t on, later ones counting less,
@@ -158,7 +159,7 @@ def policy_loss(log_probs, advantages):
         P(τ) = p(s_0)·π(a_0|s_0)·p(s_1|s_0,a_0)·π(a_1|s_1)·…
 
     In log P, which is a sum, only the log π depend on the weights: ∇log P(τ) = Σ_t ∇log π(a_t|s_t).
-    The same three steps hold for episodes, with τ for a, P(τ) for π(a), the return for r(a):
+    The same three lines hold for episodes, with τ for a, P(τ) for π(a), the return for r(a):
 
         ∇E[return] = E[Σ_i r_i · Σ_t ∇log π(a_t|s_t)] = E[Σ_t Σ_i r_i·∇log π(a_t|s_t)]
 
@@ -217,6 +218,7 @@ def train(index, args, folder):
           closing(make_envs(args, seed, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
         (env,) = envs.envs  # without the vector around it, as `play` resets it itself
+        make_repeatable(seed)  # the initial weights, and all that follows
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
         log, env_step, evals_done, start = [], 0, 0, time.perf_counter()
@@ -301,7 +303,7 @@ def make_repeatable(seed):
 
 def make_envs(args, seed, count, **kwargs):
     """A vector of `count` environments, which reset themselves, and all have a time limit."""
-    make_repeatable(seed)  # what environments draw when they are made must change nothing else
+    make_repeatable(seed)  # what environments draw when they are made is repeated, too
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -336,12 +338,12 @@ class Tidy(gym.Wrapper):
         reward = check_finite(f"a reward of {self.spec.id}", np.asarray(reward, float).item())
         return self.look(obs), reward, terminated, truncated, {}
 
-    def look(self, obs):  # at a copy, as some environments write the next one into the same array
+    def look(self, obs):  # a copy, as some environments reuse one array
         return check_finite(f"an observation of {self.spec.id}", np.array(obs))
 
 
 def check_finite(name, x):
-    """Return the array or tensor x. ValueError if a number in it is NaN or infinite."""
+    """Return x. ValueError if a number in it is NaN or infinite."""
     if not np.isfinite(np.asarray(x)).all():
         raise ValueError(f"{name} is NaN or infinite")
     return x

@@ -203,6 +203,30 @@ def test_a_seed_repeats_all_and_an_evaluation_touches_nothing(
     pd.testing.assert_frame_equal(first, undisturbed, check_exact=True)
 
 
+class MadeByChance(World):
+    """Like World, but what it is made of is drawn."""
+
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        torch.rand(3)
+
+
+register("MadeByChance", MadeByChance)
+
+
+def test_what_an_environment_draws_when_it_is_made_does_not_change_the_first_weights(
+        script, tmp_path):
+    def first_weights(name):
+        env_id = script.world(name, "test_faults")
+        path = script.train(tmp_path / name, "--learning-rate", 0, env_id=env_id)
+        return load(f"{path}.pt")["agent"]
+
+    usual, drawn = first_weights("Bits"), first_weights("MadeByChance")
+    for name, weights in usual.items():
+        if "actor" in name or "critic" in name:
+            torch.testing.assert_close(drawn[name], weights, rtol=0, atol=0)
+
+
 # --- When it ends ---------------------------------------------------------------------------------
 
 register("Long", length=1200)
