@@ -84,9 +84,9 @@ def of_peers():
         index=["options", "change", "seed"], columns="learner", values="speed")
     ratios = speeds.rdiv(speeds["ours"], axis="index").groupby("options").median()
     low, high = ratios.min(), ratios.max()
-    for peer in "CleanRL", "defaults":
-        span = f"{low[peer]:.0f} to {high[peer]:.0f}"
-        yield f"PPO is {span} times as fast as peers with their defaults"
+    peers = ["CleanRL", "defaults"]
+    span = f"{low[peers].min():.1f} to {high[peers].max():.1f}"
+    yield f"PPO is {span} times as fast as peers with their defaults"
     more = (f"{100 * x['our sizes'] - 100:.0f}" for x in (low, high))
     yield f"{' to '.join(more)}% faster than sb3's"
     rows = study.read("race")
@@ -114,11 +114,10 @@ def of_cheetahs():
     highs = (number(finals[peer].max()) for peer in ("CleanRL", "sb3, defaults"))
     cleanrl, sb3 = highs
     yield f"our lowest, {number(low)}, exceeds CleanRL's highest, {cleanrl}, and {sb3} of sb3's"
-    yield f"sb3's zoo has {number(finals['sb3, zoo'].mean())}"
+    yield f"against sb3's zoo ({number(finals['sb3, zoo'].mean())})"
     means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
     ours, cleanrl, sb3 = map(number, means)
-    yield f"our largest lead, ours earns {ours}"
-    yield f"run here with their defaults, {cleanrl} and {sb3}"
+    yield f"on HalfCheetah: a mean of {ours}, against {cleanrl} for CleanRL's PPO and {sb3} for"
     yield f"ours earns {means[0] / means[1]:.1f} times as much as CleanRL's"
     yield f"and {means[0] / means[2]:.1f} times as much as stable-baselines3's"
 
@@ -131,6 +130,11 @@ def of_others_settings():
            "but our sizes")
     ours = study.final_rows(study.read("returns")).set_index("options").loc[race.CHEETAH, "return"]
     yield f"the first is {compare.welch(ours, theirs)} less than ours"
+    rows, *_ = race.comparisons(study.read("race"))
+    cleanrl = race.finals_of("HalfCheetah-v5", rows)["CleanRL"]
+    yield f"{compare.welch(theirs, cleanrl)} more than CleanRL's"
+    low, high = map(number, compare.of_one_more(ours))
+    yield f"other processors round differently: expect {low} to {high} (95%)"
 
 
 def earlier_trials():

@@ -39,6 +39,13 @@ def paired(gains):
     return difference(stats.ttest_1samp(gains, 0))
 
 
+def of_one_more(values):
+    """The 95% interval of one more value of the same normal distribution."""
+    count = len(values)
+    spread = np.std(values, ddof=1) * (1 + 1 / count) ** 0.5
+    return stats.t.interval(0.95, count - 1, np.mean(values), spread)
+
+
 def holm(p_values, level=0.05):
     """Which p-values stay below the level when corrected for their number (Holm 1979)."""
     passes = np.sort(p_values) <= level / np.arange(len(p_values), 0, -1)
