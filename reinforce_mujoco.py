@@ -17,9 +17,9 @@ leans, how fast both move) and draws an action a (a force on the cart) from its 
 environment answers with a reward r (1 while the pole is up) and the next state, until the episode
 ends. We want a high *return*, the sum of all rewards of an episode.
 
-The policy is a Gaussian whose mean and standard deviation come from a neural network, the actor. It
-learns by trial and error: actions followed by high rewards become more likely. Evaluations play
-the mean.
+The policy is a Gaussian whose mean and standard deviation come from a neural network, the actor;
+evaluations play the mean. It learns by trial and error: actions followed by high rewards become
+more likely.
 
   1. Play a batch of episodes with π.
   2. For each step t, compute the *reward to go*: the rewards from t on, later ones counting less,

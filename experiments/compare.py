@@ -42,8 +42,8 @@ def paired(gains):
 def of_one_more(values):
     """The 95% interval of one more value of the same normal distribution."""
     count = len(values)
-    spread = np.std(values, ddof=1) * (1 + 1 / count) ** 0.5
-    return stats.t.interval(0.95, count - 1, np.mean(values), spread)
+    scale = np.std(values, ddof=1) * (1 + 1 / count) ** 0.5
+    return stats.t.interval(0.95, count - 1, np.mean(values), scale)
 
 
 def holm(p_values, level=0.05):
