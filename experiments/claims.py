@@ -72,8 +72,8 @@ def of_the_ablation():
     without_clip, without_both = gains["--clip-eps 1e9"], gains["--clip-eps 1e9 --max-kl 1e9"]
     yield f"loses {-without_clip:.0f}% without the clip, but {-without_both:.0f}% without both"
     found = effects.query("change in @ablation.DETAILS and holds")
-    numbers = ["none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten",
-               "eleven", "twelve"]
+    numbers = ["none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine",
+               "ten", "eleven", "twelve"]
     worse, better = (numbers[found.query(f"gain {sign} 0")["change"].nunique()] for sign in "<>")
     yield (f"{worse.capitalize()} of {numbers[len(ablation.DETAILS)]} changes of PPO make it "
            f"significantly worse on a task, {better} better")
