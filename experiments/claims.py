@@ -114,6 +114,7 @@ def of_cheetahs():
     cleanrl, sb3 = (number(finals[peer].max()) for peer in ("CleanRL", "sb3, defaults"))
     yield f"our lowest, {number(low)}, exceeds CleanRL's highest, {cleanrl}, and {sb3} of sb3's"
     yield f"against sb3's zoo ({number(finals['sb3, zoo'].mean())})"
+    yield f"Tuned for HalfCheetah, sb3's has {number(finals['sb3, zoo'].mean())}"
     means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
     ours, cleanrl, sb3 = map(number, means)
     yield f"on HalfCheetah: a mean of {ours}, against {cleanrl} for CleanRL's PPO and {sb3} for"
@@ -133,7 +134,7 @@ def of_others_settings():
     yield f"the first is {compare.welch(ours, theirs)} less than ours"
     yield f"{compare.welch(theirs, as_usual['CleanRL'])} more than CleanRL's"
     low, high = map(number, compare.of_one_more(ours))
-    yield f"other processors round differently: expect {low} to {high} (95%)"
+    yield f"Other processors round differently: expect {low} to {high} (95%)"
 
 
 def earlier_trials():
