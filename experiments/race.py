@@ -107,13 +107,13 @@ def draw_minutes(rows):
             axis.plot(minutes[-1], mean.iloc[-1], "o", color=color)
             slower[-1][learner] = slowness[change]
         axis.set(title=task[:-3], xlabel="minutes")
-    panels[0].set_ylabel("return without noise")
+    panels[0].set_ylabel("mean return without noise")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     slower = pd.DataFrame(slower)
     low, high = slower.min(), slower.max()
-    times = [f"{name.replace(',', '')} {low[name]:.2f} to {high[name]:.2f}"
+    times = [f"{name.replace(',', '')} {low[name]:.1f} to {high[name]:.1f}"
              for name in LEARNERS if name != "ours"]
-    picture.suptitle("A million steps take others so many times as long as ours:\n"
+    picture.suptitle("For a million steps others need so many times our minutes:\n"
                      + "; ".join(times))
     pages.save(picture, "ppo_minutes")
 
@@ -186,7 +186,7 @@ def comparisons(rows):
 
 
 def draw(rows):
-    stood = study.final_rows(rows[left_out(rows)])["return"]
+    stood = finals_of("Hopper-v5", rows[left_out(rows)])["sb3, zoo"]
     rows, lines, in_training, p_values = comparisons(rows)
     holds, marked = compare.holm(p_values), compare.marked(p_values)
     draw_minutes(rows)
