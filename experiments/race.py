@@ -113,8 +113,7 @@ def draw_minutes(rows):
     low, high = slower.min(), slower.max()
     times = [f"{name.replace(',', '')} {low[name]:.1f} to {high[name]:.1f}"
              for name in LEARNERS if name != "ours"]
-    picture.suptitle("For a million steps others need so many times our minutes:\n"
-                     + "; ".join(times))
+    picture.suptitle("Time for a million steps, ours = 1:\n" + "; ".join(times))
     pages.save(picture, "ppo_minutes")
 
 
