@@ -9,6 +9,7 @@ import returns
 import study
 import variants
 from compare import number
+from scipy import stats
 
 
 def of_runs():
@@ -35,7 +36,8 @@ def of_runs():
         gain = compare.paired(here[elsewhere[options].index] - elsewhere[options])
         if abs(gain.gain) > gain.margin:
             unlike.append(options)
-    yield f"the 95% interval of the change leaves out 0 on {len(unlike) or 'none'} of the tasks"
+    without_0 = f"leaves out 0 on {len(unlike)} tasks" if unlike else "contains 0 on every task"
+    yield f"the 95% interval of the change {without_0}"
     of_tasks = study.read("returns").query("options in @returns.TASKS.values()")
     first = of_tasks.groupby(["options", "seed"])["return"].first().groupby("options").max()
     last = finals.loc[list(returns.TASKS.values()), "return"].groupby("options").min()
@@ -46,7 +48,7 @@ def of_runs():
         if "Swimmer" in options or "Humanoid" in options:
             yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
     *_, (_, _, falls) = last_std.falls(study.read("last_std"), study.read("returns"))
-    yield f"{falls.split()[3]} of 10 double pendulums have a fall"
+    yield f"after 700,000 steps {falls.split()[3]} of 10 double pendulums have a fall"
 
 
 def of_walkers(walkers):
@@ -62,15 +64,15 @@ def of_walkers(walkers):
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
     yield f"all twenty-five have {compare.spread([*walkers, *more])} (p {p:.2g})"
-    yield f"(all 25 seeds: {compare.spread([*walkers, *more])})"
 
 
 def of_the_ablation():
     effects = ablation.effects(study.read("ablation"), ablation.TABLES)
-    gains = effects.set_index(["table", "change"])["gain"]["double pendulum"]
-    without_clip, without_both = gains["--clip-eps 1e9"], gains["--clip-eps 1e9 --max-kl 1e9"]
-    yield f"loses {-without_clip:.0f}% without the clip, but {-without_both:.0f}% without both"
-    yield f"no clip: over eight seeds it loses {-without_clip:.0f}%"
+    pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
+    clip, both = pendulum.loc["--clip-eps 1e9"], pendulum.loc["--clip-eps 1e9 --max-kl 1e9"]
+    low, high = (number(both["gain"] + sign * both["margin"]) for sign in (-1, 1))
+    yield (f"loses {-clip['gain']:.0f}% without the clip, but {-both['gain']:.0f}% without both "
+           f"clip and KL limit ({low} to {high})")
     found = effects.query("change in @ablation.DETAILS and holds")
     numbers = ["none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine",
                "ten", "eleven", "twelve"]
@@ -94,28 +96,30 @@ def of_peers():
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
-    yield (f"Of {len(lines)} comparisons of PPO without noise {len(lines) - len(undecided)} are "
-           "significant")
-    yield f"{len(undecided)} are undecided; ours is lower in {lower}"
+    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant, "
+           f"{len(undecided)} undecided; ours is lower in {lower}")
     hoppers = race.finals_of("Hopper-v5", rows[race.left_out(rows)])["sb3, zoo"]
     yield f"end at {number(hoppers.min())} to {number(hoppers.max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
              for trials in (earlier_trials(), later_trials())]
     on_pendulum = sum(map(sum, tried))
     finals = race.finals_of(returns.PENDULUM, race.comparisons(rows)[0])
-    best, cleanrl = number(finals["ours"].max()), number(finals["CleanRL"].min())
-    yield f"of CleanRL's runs (from {cleanrl}) end above all ten of ours (to {best})"
+    yield by_ranks("CleanRL's runs", finals["CleanRL"], "all ten of ours", finals["ours"])
     yield (f"{sum(map(len, tried)) - on_pendulum} trainings on the first three tasks, "
            f"{on_pendulum} on the double pendulum")
+
+
+def by_ranks(upper, above, lower, below):
+    """Two samples of which every value of one exceeds all of the other."""
+    assert above.min() > below.max()
+    return (f"{upper} (from {number(above.min())}) end above {lower} (to {number(below.max())}; "
+            f"p {stats.mannwhitneyu(above, below, method='exact').pvalue:.2g})")
 
 
 def of_cheetahs():
     """Of HalfCheetah, without noise."""
     rows, *_ = race.comparisons(study.read("race"))
     finals = race.finals_of("HalfCheetah-v5", rows)
-    low = finals["ours"].min()
-    cleanrl, sb3 = (number(finals[peer].max()) for peer in ("CleanRL", "sb3, defaults"))
-    yield f"our lowest, {number(low)}, exceeds CleanRL's highest, {cleanrl}, and {sb3} of sb3's"
     yield f"against sb3's zoo ({number(finals['sb3, zoo'].mean())})"
     yield f"Tuned for HalfCheetah, sb3's has {number(finals['sb3, zoo'].mean())}"
     means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
@@ -134,8 +138,10 @@ def of_others_settings():
     rows, *_ = race.comparisons(study.read("race"))
     as_usual = race.finals_of("HalfCheetah-v5", rows)
     ours = as_usual["ours"]
-    yield f"the first is {compare.welch(ours, theirs)} less than ours"
-    yield f"{compare.welch(theirs, as_usual['CleanRL'])} more than CleanRL's"
+    cleanrl = as_usual["CleanRL"]
+    yield (f"So CleanRL's settings cost ours {compare.welch(ours, theirs)}, and leave it "
+           f"{compare.welch(theirs, cleanrl)} above CleanRL's")
+    yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)
     low, high = map(number, compare.of_one_more(ours))
     yield f"Other processors round differently: expect {low} to {high} (95%)"
 
