@@ -68,6 +68,12 @@ def of_walkers(walkers):
 
 def of_the_ablation():
     effects = ablation.effects(study.read("ablation"), ablation.TABLES)
+    returned = study.read("ablation").set_index(["options", "change"])["return"]
+    hoppers = returned[ablation.TABLES["Hopper"][0].options, ""]
+    low, high = number(hoppers.min()), number(hoppers.max())
+    yield f"(eight others: {compare.spread(hoppers)})"
+    yield f"have {compare.spread(hoppers)}, from {low}"
+    yield f"the eight unchanged runs alone range from {low} to {high}"
     pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
     clip, both = pendulum.loc["--clip-eps 1e9"], pendulum.loc["--clip-eps 1e9 --max-kl 1e9"]
     low, high = (number(both["gain"] + sign * both["margin"]) for sign in (-1, 1))
