@@ -79,8 +79,7 @@ def draw(rows):
     order = details.groupby("change")["gain"].mean().sort_values().index
     texts = details.pivot(index="change", columns="table", values="gain, %").loc[order]
     usual = {task: study.load(TABLES[task][0])[1] for task in texts}
-    titles = {task: f"{task},\n{args.total_steps:,} steps, σ ends at {args.last_std}"
-              for task, args in usual.items()}
+    titles = {task: f"{task},\n{args.total_steps:,} steps" for task, args in usual.items()}
     draw_gains(details, order, titles)
     lines = [["return as it is (± std)", *details.groupby("table")["without"].first()],
              *texts.reset_index().to_numpy()]
