@@ -67,8 +67,9 @@ def of_walkers(walkers):
 
 
 def of_the_ablation():
-    effects = ablation.effects(study.read("ablation"), ablation.TABLES)
-    returned = study.read("ablation").set_index(["options", "change"])["return"]
+    rows = study.read("ablation")
+    effects = ablation.effects(rows, ablation.TABLES)
+    returned = rows.set_index(["options", "change"])["return"]
     hoppers = returned[ablation.TABLES["Hopper"][0].options, ""]
     low, high = number(hoppers.min()), number(hoppers.max())
     yield f"(eight others: {compare.spread(hoppers)})"
@@ -98,7 +99,7 @@ def of_peers():
     more = (f"{100 * x['our sizes'] - 100:.0f}" for x in (low, high))
     yield f"{' to '.join(more)}% faster than sb3's"
     rows = study.read("race")
-    _, lines, _, p_values = race.comparisons(rows)
+    compared, lines, _, p_values = race.comparisons(rows)
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
@@ -109,7 +110,7 @@ def of_peers():
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
              for trials in (earlier_trials(), later_trials())]
     on_pendulum = sum(map(sum, tried))
-    finals = race.finals_of(returns.PENDULUM, race.comparisons(rows)[0])
+    finals = race.finals_of(returns.PENDULUM, compared)
     yield by_ranks("CleanRL's runs", finals["CleanRL"], "all ten of ours", finals["ours"])
     yield (f"{sum(map(len, tried)) - on_pendulum} trainings on the first three tasks, "
            f"{on_pendulum} on the double pendulum")
@@ -143,8 +144,7 @@ def of_others_settings():
            "but our sizes")
     rows, *_ = race.comparisons(study.read("race"))
     as_usual = race.finals_of("HalfCheetah-v5", rows)
-    ours = as_usual["ours"]
-    cleanrl = as_usual["CleanRL"]
+    ours, cleanrl = as_usual["ours"], as_usual["CleanRL"]
     yield (f"So CleanRL's settings cost ours {compare.welch(ours, theirs)}, and leave it "
            f"{compare.welch(theirs, cleanrl)} above CleanRL's")
     yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)

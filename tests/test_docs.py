@@ -68,6 +68,11 @@ def test_exercise_4_and_its_answer_run(tmp_path, capsys):
     assert len(others) == 3
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_no_formula_that_is_wrapped_begins_a_quotation_or_a_list(document):
+    assert not re.findall(r"^ *[>+] .*", document.read_text(encoding="utf-8"), re.MULTILINE)
+
+
 def test_every_option_in_the_text_exists():
     known = {"--help", "--suppress-common-lines", "--standalone", "--nproc-per-node",
              "--array", "--wrap", "--tb", "--with", "--with-requirements",  # of diff, torchrun,
