@@ -27,8 +27,8 @@ def of_runs():
     noise = finals["return"] - finals["sampled"]
     reacher, pusher = (noise[returns.TASKS[f"{task}-v5"]].mean() for task in ("Reacher", "Pusher"))
     yield f"Noise costs ours {reacher:.0f} points on Reacher, {pusher:.0f} on Pusher"
-    for task in "HalfCheetah", "Hopper", "Walker2d", "Humanoid":
-        yield f"{task} {compare.spread(finals.loc[returns.TASKS[f'{task}-v5'], 'return'])}"
+    cheetahs = compare.spread(finals.loc[returns.TASKS["HalfCheetah-v5"], "return"])
+    yield f"HalfCheetah, for instance, ends at {cheetahs}"
     first = study.read("other_machine").set_index(["options", "seed"])["return"]
     unlike = []
     for options, elsewhere in first.groupby("options"):
@@ -59,7 +59,7 @@ def of_walkers(walkers):
     yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g})"
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
-    yield f"which was significant (p {compare.welch(first, sb3).p:.2g})"
+    yield f"was significant (p {compare.welch(first, sb3).p:.2g})"
     more = study.read("walker").set_index(["options", "change"])["return"]
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
@@ -72,7 +72,6 @@ def of_the_ablation():
     returned = rows.set_index(["options", "change"])["return"]
     hoppers = returned[ablation.TABLES["Hopper"][0].options, ""]
     low, high = number(hoppers.min()), number(hoppers.max())
-    yield f"(eight others: {compare.spread(hoppers)})"
     yield f"have {compare.spread(hoppers)}, from {low}"
     yield f"the eight unchanged runs alone range from {low} to {high}"
     pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
@@ -103,8 +102,8 @@ def of_peers():
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
-    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant, "
-           f"{len(undecided)} undecided; ours is lower in {lower}")
+    yield (f"Of {len(lines)} comparisons {len(lines) - len(undecided)} are significant; ours "
+           f"is lower in {lower} of the others")
     hoppers = race.finals_of("Hopper-v5", rows[race.left_out(rows)])["sb3, zoo"]
     yield f"end at {number(hoppers.min())} to {number(hoppers.max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
@@ -127,11 +126,13 @@ def of_cheetahs():
     """Of HalfCheetah, without noise."""
     rows, *_ = race.comparisons(study.read("race"))
     finals = race.finals_of("HalfCheetah-v5", rows)
-    yield f"against sb3's zoo ({number(finals['sb3, zoo'].mean())})"
-    yield f"Tuned for HalfCheetah, sb3's has {number(finals['sb3, zoo'].mean())}"
-    means = [finals[learner].mean() for learner in ("ours", "CleanRL", "sb3, defaults")]
-    ours, cleanrl, sb3 = map(number, means)
-    yield f"on HalfCheetah: a mean of {ours}, against {cleanrl} for CleanRL's PPO and {sb3} for"
+    learners = "ours", "CleanRL", "sb3, defaults", "sb3, zoo"
+    means = [finals[learner].mean() for learner in learners]
+    ours, cleanrl, sb3, zoo = map(number, means)
+    yield f"sb3's with settings tuned for HalfCheetah {zoo}"
+    yield f"on HalfCheetah ours earns {ours} on average"
+    yield f"earn {cleanrl} and {sb3} with their defaults"
+    yield f"the latter earns {zoo} when tuned for HalfCheetah"
     yield f"ours earns {means[0] / means[1]:.1f} times as much as CleanRL's"
     yield f"and {means[0] / means[2]:.1f} times as much as stable-baselines3's"
 
@@ -143,6 +144,7 @@ def of_others_settings():
     yield (f"{compare.spread(theirs)} with CleanRL's settings, {compare.spread(sb3)} with sb3's "
            "but our sizes")
     rows, *_ = race.comparisons(study.read("race"))
+    yield f"ours with CleanRL's settings earns {number(theirs.mean())}"
     as_usual = race.finals_of("HalfCheetah-v5", rows)
     ours, cleanrl = as_usual["ours"], as_usual["CleanRL"]
     yield (f"So CleanRL's settings cost ours {compare.welch(ours, theirs)}, and leave it "
