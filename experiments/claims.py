@@ -48,7 +48,7 @@ def of_runs():
         if "Swimmer" in options or "Humanoid" in options:
             yield f"{number(runs['return'].min())} to {number(runs['return'].max())}"
     *_, (_, _, falls) = last_std.falls(study.read("last_std"), study.read("returns"))
-    yield f"after 700,000 steps {falls.split()[3]} of 10 double pendulums have a fall"
+    yield f"in evaluations after 700,000 steps {falls.split()[3]} of 10 double pendulums fall"
 
 
 def of_walkers(walkers):
@@ -63,7 +63,8 @@ def of_walkers(walkers):
     more = study.read("walker").set_index(["options", "change"])["return"]
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
-    yield f"all twenty-five have {compare.spread([*walkers, *more])} (p {p:.2g})"
+    yield f"all twenty-five walkers have {compare.spread([*walkers, *more])}"
+    yield f"with all twenty-five p is {p:.2g}"
 
 
 def of_the_ablation():
@@ -72,7 +73,7 @@ def of_the_ablation():
     returned = rows.set_index(["options", "change"])["return"]
     hoppers = returned[ablation.TABLES["Hopper"][0].options, ""]
     low, high = number(hoppers.min()), number(hoppers.max())
-    yield f"have {compare.spread(hoppers)}, from {low}"
+    yield f"eight other hoppers have {compare.spread(hoppers)}, from {low}"
     yield f"the eight unchanged runs alone range from {low} to {high}"
     pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
     clip, both = pendulum.loc["--clip-eps 1e9"], pendulum.loc["--clip-eps 1e9 --max-kl 1e9"]
@@ -110,7 +111,8 @@ def of_peers():
              for trials in (earlier_trials(), later_trials())]
     on_pendulum = sum(map(sum, tried))
     finals = race.finals_of(returns.PENDULUM, compared)
-    yield by_ranks("CleanRL's runs", finals["CleanRL"], "all ten of ours", finals["ours"])
+    theirs, ours = finals["CleanRL"], finals["ours"]
+    yield by_ranks("all five of CleanRL's runs", theirs, "all ten of ours", ours)
     yield (f"{sum(map(len, tried)) - on_pendulum} trainings on the first three tasks, "
            f"{on_pendulum} on the double pendulum")
 
@@ -118,8 +120,8 @@ def of_peers():
 def by_ranks(upper, above, lower, below):
     """Two samples of which every value of one exceeds all of the other."""
     assert above.min() > below.max()
-    return (f"{upper} (from {number(above.min())}) end above {lower} (to {number(below.max())}; "
-            f"p {stats.mannwhitneyu(above, below, method='exact').pvalue:.2g})")
+    p = stats.mannwhitneyu(above, below, method="exact").pvalue
+    return f"{upper} end above {lower} (by ranks p {p:.2g}"
 
 
 def of_cheetahs():
@@ -140,15 +142,14 @@ def of_cheetahs():
 def of_others_settings():
     """Of our script on HalfCheetah, with the settings of others."""
     finals = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
-    theirs, sb3, _ = (finals[like] for like in race.LIKE.values())
-    yield (f"{compare.spread(theirs)} with CleanRL's settings, {compare.spread(sb3)} with sb3's "
-           "but our sizes")
+    theirs, *_ = (finals[like] for like in race.LIKE.values())
     rows, *_ = race.comparisons(study.read("race"))
     yield f"ours with CleanRL's settings earns {number(theirs.mean())}"
     as_usual = race.finals_of("HalfCheetah-v5", rows)
     ours, cleanrl = as_usual["ours"], as_usual["CleanRL"]
-    yield (f"So CleanRL's settings cost ours {compare.welch(ours, theirs)}, and leave it "
-           f"{compare.welch(theirs, cleanrl)} above CleanRL's")
+    yield (f"with those of CleanRL ours earns {compare.spread(theirs)}, which is "
+           f"{compare.welch(ours, theirs)} less, and {compare.welch(theirs, cleanrl)} more than "
+           "CleanRL's")
     yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)
     low, high = map(number, compare.of_one_more(ours))
     yield f"Other processors round differently: expect {low} to {high} (95%)"
