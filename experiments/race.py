@@ -66,9 +66,9 @@ def slowness_of(task):
 
 def draw_steps(rows, lines, holds):
     """Means against steps, at the end a dash for each seed; below, what ours earn more."""
-    picture, panels = pages.figure(14, 8, 2, 3)
+    picture, panels = pages.figure(15, 8, 2, 4)
     peers_below = list(LEARNERS)[1:]
-    for above, below, task in zip(panels[:3], panels[3:], BEST):
+    for above, below, task in zip(panels[:4], panels[4:], TASKS):
         for i, (learner, curve) in enumerate(curves_of(task, rows).items(), start=1):
             _, color, dashes = LEARNERS[learner]
             finals = curve.loc[curve["steps"] == 1, "return"]
@@ -82,17 +82,17 @@ def draw_steps(rows, lines, holds):
                                color=color, capsize=3, mfc=color if different else "white")
         below.axvline(0, color="grey")
         if LEFT_OUT[0] == returns.TASKS[task]:
-            below.text(0.02, peers_below.index("sb3, zoo"), " left out: stands still", va="center")
+            below.text(0.02, peers_below.index("sb3, zoo"), " left out", va="center")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="peer better ← 0 → ours better", yticks=[], ylim=(3.5, -0.5))
+        below.set(xlabel="peer ← better → ours", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("return without noise")
-    panels[3].set_yticks(range(4), peers_below)
+    panels[4].set_yticks(range(4), peers_below)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
 
 
 def draw_minutes(rows):
-    """Means against minutes: the median of ours, times the others' ratio."""
+    """Means against minutes: the median of ours, times the others' ratio; ends with their std."""
     picture, panels = pages.figure(14, 4.8, 1, 3)
     slower = []
     for axis, task in zip(panels, BEST):
@@ -102,10 +102,11 @@ def draw_minutes(rows):
         slower.append({})
         for learner, curve in curves_of(task, rows).items():
             change, color, dashes = LEARNERS[learner]
-            mean = curve.groupby("steps")["return"].mean()
+            points = curve.groupby("steps")["return"]
+            mean, std = points.mean(), points.std()
             minutes = ours * mean.index * slowness[change]
             axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
-            axis.plot(minutes[-1], mean.iloc[-1], "o", color=color)
+            axis.errorbar(minutes[-1], mean.iloc[-1], std.iloc[-1], fmt="o", color=color, capsize=4)
             slower[-1][learner] = slowness[change]
         left = " (zoo left out)" if LEFT_OUT[0] == returns.TASKS[task] else ""
         axis.set(title=f"{task[:-3]}{left}", xlabel="minutes")
@@ -115,7 +116,8 @@ def draw_minutes(rows):
     low, high = slower.min(), slower.max()
     times = [f"{name.replace(',', '')} {low[name]:.1f} to {high[name]:.1f}"
              for name in LEARNERS if name != "ours"]
-    picture.suptitle("Time for a million steps, ours = 1:\n" + "; ".join(times))
+    picture.suptitle("Time for a million steps, ours = 1 (others estimated; bars: std over seeds):\n"
+                     + "; ".join(times))
     pages.save(picture, "ppo_minutes")
 
 
@@ -192,8 +194,8 @@ def draw(rows):
     holds, marked = compare.holm(p_values), compare.marked(p_values)
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
-    drawn = [different for (task, *_), different in zip(lines, holds) if f"{task}-v5" in BEST]
-    title = f"{title_of(lines, holds)}; the other {drawn.count(False)} differences are undecided"
+    undecided = list(holds)[: len(lines)].count(False)
+    title = f"{title_of(lines, holds)}; the other {undecided} differences are undecided"
     picture.suptitle(f"{title}\nabove: means, and each seed's end; below: 95% intervals, filled if "
                      "significant after Holm's correction", wrap=True)
     pages.save(picture, "ppo_race")
