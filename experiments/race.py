@@ -116,7 +116,7 @@ def draw_minutes(rows):
     low, high = slower.min(), slower.max()
     times = [f"{name.replace(',', '')} {low[name]:.1f} to {high[name]:.1f}"
              for name in LEARNERS if name != "ours"]
-    picture.suptitle("Time for a million steps, ours = 1 (others estimated; bars: std over seeds):\n"
+    picture.suptitle("Time for a million steps, ours = 1 (others estimated; bars: std of seeds):\n"
                      + "; ".join(times))
     pages.save(picture, "ppo_minutes")
 
