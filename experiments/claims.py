@@ -56,10 +56,10 @@ def of_walkers(walkers):
     sb3 = race.finals_of("Walker2d-v5", study.read("race"))["sb3, our sizes"]
     gain = compare.welch(walkers, sb3)
     gain = gain._replace(gain=-gain.gain)
-    yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g})"
+    yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g};"
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
-    yield f"was significant (p {compare.welch(first, sb3).p:.2g})"
+    yield f"significant, p {compare.welch(first, sb3).p:.2g}, until five of our runs"
     more = study.read("walker").set_index(["options", "change"])["return"]
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
@@ -103,8 +103,8 @@ def of_peers():
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
-    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant; in the "
-           f"other {len(undecided)} our mean is lower in {lower}")
+    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant, "
+           f"{len(undecided)} undecided, of which {lower} lean to peers")
     hoppers = race.finals_of("Hopper-v5", rows[race.left_out(rows)])["sb3, zoo"]
     yield f"end at {number(hoppers.min())} to {number(hoppers.max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
@@ -142,13 +142,12 @@ def of_others_settings():
     finals = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
     theirs, *_ = (finals[like] for like in race.LIKE.values())
     rows, *_ = race.comparisons(study.read("race"))
-    yield (f"with CleanRL's, ours earns {number(theirs.mean())} (median "
-           f"{number(theirs.median())})")
     as_usual = race.finals_of("HalfCheetah-v5", rows)
     ours, cleanrl = as_usual["ours"], as_usual["CleanRL"]
-    yield (f"with those of CleanRL ours earns {compare.spread(theirs)}, which is "
-           f"{compare.welch(ours, theirs)} less, and {compare.welch(theirs, cleanrl)} more than "
-           "CleanRL's")
+    median = number(theirs.median())
+    less, more = compare.welch(ours, theirs), compare.welch(theirs, cleanrl)
+    yield (f"with those of CleanRL ours earns {compare.spread(theirs)} (median {median}), which "
+           f"is {less} less, and {more} more than CleanRL's")
     yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)
     low, high = map(number, compare.of_one_more(ours))
     yield f"Other processors round differently: expect {low} to {high} (95%)"
