@@ -149,7 +149,7 @@ def of_others_settings():
     median = number(theirs.median())
     less, more = compare.welch(ours, theirs), compare.welch(theirs, cleanrl)
     yield (f"with those of CleanRL ours earns {compare.spread(theirs)} (median {median}), which "
-           f"is {less} less, and {more} more than CleanRL's")
+           f"is {less} less than with its own, and {more} more than CleanRL's")
     yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)
     low, high = map(number, compare.of_one_more(ours))
     yield f"Other processors round differently: expect {low} to {high} (95%)"
