@@ -60,7 +60,7 @@ def of_walkers(walkers):
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
     yield f"significant, p {compare.welch(first, sb3).p:.2g}, until five of our runs"
-    more = study.read("walker").set_index(["options", "change"])["return"]
+    more = study.read("more_seeds").set_index(["options", "change"])["return"]
     more = more[returns.TASKS["Walker2d-v5"], ""]
     p = compare.welch([*walkers, *more], sb3).p
     yield f"all twenty-five walkers have {compare.spread([*walkers, *more])}"

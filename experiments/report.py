@@ -6,7 +6,7 @@ import pages
 import study
 
 STUDIES = ("returns", "last_std", "published", "settings", "race", "speed", "processes",
-           "baselines", "robustness", "ablation", "exercises", "walker")
+           "baselines", "robustness", "ablation", "exercises", "more_seeds")
 
 
 def tables():
