@@ -5,7 +5,6 @@ without noise. It is measured if CLEANRL is the path of its file. Nine hours on 
 """
 
 import compare
-import numpy as np
 import pages
 import pandas as pd
 import peers
@@ -19,6 +18,7 @@ LEARNERS = {  # the change of their rows, colour, dashes
     "ours": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "black", (0, (5, 1))),
     "sb3, defaults": ("defaults", "C1", "--"), "sb3, zoo": ("zoo", "C2", ":"),
     "sb3, our sizes": ("our sizes", "C4", "-.")}
+MARKERS = dict(zip(LEARNERS, "oDsv^"))
 LEFT_OUT = returns.TASKS["Hopper-v5"], "zoo"  # all stop near 1,000: not what the zoo publishes
 BEST = {"HalfCheetah-v5": "zoo", "Hopper-v5": "defaults", "Walker2d-v5": "our sizes"}  # ten seeds
 CHEETAH = returns.TASKS["HalfCheetah-v5"]
@@ -57,67 +57,68 @@ def finals_of(task, rows, column="return"):
 
 
 def slowness_of(task):
-    """How many times as long as ours each learner takes."""
+    """How many times as long as ours each learner takes: of five repetitions min, median, max."""
     speeds = study.read("speed")
     speeds = speeds[speeds["options"] == f"--env-id {task} --total-steps 32768"]
     speeds = speeds.pivot(index=["change", "seed"], columns="learner", values="speed")
-    return speeds.rdiv(speeds["ours"], axis="index").median()
+    return speeds.rdiv(speeds["ours"], axis="index").agg(["min", "median", "max"])
 
 
 def draw_steps(rows, lines, holds):
-    """Means against steps, at the end a dash for each seed; below, what ours earn more."""
-    picture, panels = pages.figure(15, 8, 2, 4)
-    peers_below = list(LEARNERS)[1:]
+    """Above: means against steps. Below: how much more ours earn than each peer and its runs."""
+    picture, panels = pages.figure(15, 9, 2, 4)
     for above, below, task in zip(panels[:4], panels[4:], TASKS):
-        for i, (learner, curve) in enumerate(curves_of(task, rows).items(), start=1):
+        below.axvline(0, color="grey")
+        for learner, curve in curves_of(task, rows).items():
             _, color, dashes = LEARNERS[learner]
-            finals = curve.loc[curve["steps"] == 1, "return"]
             above.plot(curve.groupby("steps")["return"].mean(), color=color, ls=dashes, lw=3,
                        label=learner)
-            above.plot(np.full(len(finals), 1 + 0.06 * i), finals, "_", color=color, ms=9, mew=2)
+            finals = curve.loc[curve["steps"] == 1, "return"]
+            if learner == "ours":
+                ours = finals.mean()
+            below.plot(ours - finals, [list(LEARNERS).index(learner)] * len(finals), "|", ms=12,
+                       color=color, alpha=0.7)
         for (of_task, peer, *_, gain), different in zip(lines, holds):
             if of_task == task[:-3]:
-                _, color, _ = LEARNERS[peer]
-                below.errorbar(gain.gain, peers_below.index(peer), xerr=gain.margin, fmt="o",
-                               color=color, capsize=3, mfc=color if different else "white")
-        below.axvline(0, color="grey")
+                below.errorbar(gain.gain, list(LEARNERS).index(peer) - 0.3, xerr=gain.margin,
+                               fmt="o", capsize=3, color=LEARNERS[peer][1],
+                               mfc=None if different else "white")
         if LEFT_OUT[0] == returns.TASKS[task]:
-            below.text(0.02, peers_below.index("sb3, zoo"), " left out", va="center")
+            below.text(0.02, list(LEARNERS).index("sb3, zoo"), " left out", va="center")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="peer ← better → ours", yticks=[], ylim=(3.5, -0.5))
-    panels[0].set_ylabel("return without noise")
-    panels[4].set_yticks(range(4), peers_below)
+        below.set(xlabel="peer ← better → ours", yticks=[], ylim=(4.5, -0.5))
+    panels[0].set_ylabel("mean return without noise")
+    panels[4].set_yticks(range(len(LEARNERS)), LEARNERS)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
 
 
 def draw_minutes(rows):
-    """Means against minutes: the median of ours, times the others' ratio; ends with their std."""
-    picture, panels = pages.figure(14, 4.8, 1, 3)
-    slower = []
+    """Return of a million steps against the minutes: the median of ours, times others' ratio."""
+    picture, panels = pages.figure(14, 5.2, 1, 3)
+    ratios = {}
     for axis, task in zip(panels, BEST):
         slowness = slowness_of(task)
-        runs = rows[(rows["options"] == returns.TASKS[task]) & (rows["change"] == "ours")]
-        ours = study.final_rows(runs)["seconds"].median() / 60
-        slower.append({})
-        for learner, curve in curves_of(task, rows).items():
-            change, color, dashes = LEARNERS[learner]
-            points = curve.groupby("steps")["return"]
-            mean, std = points.mean(), points.std()
-            minutes = ours * mean.index * slowness[change]
-            axis.plot(minutes, mean, color=color, ls=dashes, lw=3, label=learner)
-            axis.errorbar(minutes[-1], mean.iloc[-1], std.iloc[-1], fmt="o", color=color, capsize=4)
-            slower[-1][learner] = slowness[change]
-        left = " (zoo left out)" if LEFT_OUT[0] == returns.TASKS[task] else ""
-        axis.set(title=f"{task[:-3]}{left}", xlabel="minutes")
-    panels[0].set_ylabel("mean return without noise")
+        ours = rows[(rows["options"] == returns.TASKS[task]) & (rows["change"] == "ours")]
+        minutes = study.final_rows(ours)["seconds"].median() / 60 * slowness
+        for learner, finals in finals_of(task, rows).items():
+            change, color, _ = LEARNERS[learner]
+            ratios[task, learner] = slowness.loc["median", change]
+            low, middle, high = minutes[change]
+            axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
+                          fmt=MARKERS[learner], ms=10, color=color, label=learner)
+        axis.set(title=task[:-3], xlabel="minutes", xscale="log", xticks=[2, 5, 10, 20],
+                 xlim=(1.5, 40))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.minorticks_off()
+    panels[0].set_ylabel("return after a million steps")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    slower = pd.DataFrame(slower)
-    low, high = slower.min(), slower.max()
-    times = [f"{name.replace(',', '')} {low[name]:.1f} to {high[name]:.1f}"
-             for name in LEARNERS if name != "ours"]
-    picture.suptitle("Time for a million steps, ours = 1 (others estimated; bars: std of seeds):\n"
-                     + "; ".join(times))
+    of_defaults = [ratio for (_, learner), ratio in ratios.items()
+                   if learner in ("CleanRL", "sb3, defaults")]
+    picture.suptitle(
+        f"A million steps take peers with their defaults {min(of_defaults):.1f} to "
+        f"{max(of_defaults):.1f} times as long as ours\n"
+        "vertical: std of seeds; horizontal: range of the estimate; best: upper left")
     pages.save(picture, "ppo_minutes")
 
 
@@ -196,8 +197,8 @@ def draw(rows):
     picture = draw_steps(rows, lines, holds)
     undecided = list(holds)[: len(lines)].count(False)
     title = f"{title_of(lines, holds)}; the other {undecided} differences are undecided"
-    picture.suptitle(f"{title}\nabove: means, and each seed's end; below: 95% intervals, filled if "
-                     "significant after Holm's correction", wrap=True)
+    picture.suptitle(f"{title}\nbelow: our mean minus each run (ticks), and minus the peer's mean "
+                     "(95%; filled: significant)", wrap=True)
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),
