@@ -59,7 +59,7 @@ def test_a_trained_agent_plays_in_code_of_your_own(tmp_path):
 
 
 @pytest.mark.skipif("**For teachers.**" not in TEXT, reason="a students' copy, without answers")
-def test_exercise_4_and_its_answer_run(tmp_path, capsys):
+def test_exercise_9_and_its_answer_run(tmp_path, capsys):
     (sheet,), (answer,) = ([x for x in SNIPPETS if text in x] for text in ("rf.play", "for b in"))
     path = SCRIPTS["reinforce_mujoco"].train(tmp_path)
     exec(sheet.replace("runs/…/seed-1", str(path)) + answer, {})
