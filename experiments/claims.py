@@ -56,7 +56,7 @@ def of_walkers(walkers):
     sb3 = race.finals_of("Walker2d-v5", study.read("race"))["sb3, our sizes"]
     gain = compare.welch(walkers, sb3)
     gain = gain._replace(gain=-gain.gain)
-    yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g};"
+    yield f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g})"
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
     yield f"significant, p {compare.welch(first, sb3).p:.2g}, until five of our runs"
@@ -103,8 +103,8 @@ def of_peers():
     undecided = [gain.gain for (*_, gain), different in zip(lines, compare.holm(p_values))
                  if not different]
     lower = sum(gain < 0 for gain in undecided)
-    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant, "
-           f"{len(undecided)} undecided, of which {lower} lean to peers")
+    yield (f"{len(lines) - len(undecided)} of {len(lines)} comparisons are significant; the other "
+           f"{len(undecided)} are undecided, and {lower} of these lean to peers")
     hoppers = race.finals_of("Hopper-v5", rows[race.left_out(rows)])["sb3, zoo"]
     yield f"end at {number(hoppers.min())} to {number(hoppers.max())}"
     tried = [trials[trials["env_id"].isin(race.TASKS)]["env_id"] == returns.PENDULUM
@@ -131,7 +131,7 @@ def of_cheetahs():
     learners = "ours", "CleanRL", "sb3, defaults", "sb3, zoo"
     means = [finals[learner].mean() for learner in learners]
     ours, cleanrl, sb3, zoo = map(number, means)
-    yield f"tuned for HalfCheetah, sb3's earns {zoo}"
+    yield f"Tuned for HalfCheetah, sb3's earns {zoo}"
     theirs = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
     as_theirs = number(theirs[race.LIKE["CleanRL's"]].mean())
     yield f"| {ours} | {zoo} | {as_theirs} | {sb3} | {cleanrl} |"
@@ -148,8 +148,8 @@ def of_others_settings():
     ours, cleanrl = as_usual["ours"], as_usual["CleanRL"]
     median = number(theirs.median())
     less, more = compare.welch(ours, theirs), compare.welch(theirs, cleanrl)
-    yield (f"with those of CleanRL ours earns {compare.spread(theirs)} (median {median}), which "
-           f"is {less} less than with its own, and {more} more than CleanRL's")
+    yield (f"those of CleanRL, ours earns {compare.spread(theirs)}: {less} less than with its own")
+    yield f"ours has a median of {median}, and earns {more} more than CleanRL's"
     yield by_ranks("all five of ours", theirs, "all five of CleanRL's", cleanrl)
     low, high = map(number, compare.of_one_more(ours))
     yield f"Other processors round differently: expect {low} to {high} (95%)"
