@@ -65,28 +65,26 @@ def slowness_of(task):
 
 
 def draw_steps(rows, lines, holds):
-    """Above: means against steps. Below: how much more ours earn than each peer and its runs."""
+    """Above: means against steps. Below: the last return of each run, and their mean."""
     picture, panels = pages.figure(15, 9, 2, 4)
+    unlike_ours = {line[:2] for line, different in zip(lines, holds) if different}
     for above, below, task in zip(panels[:4], panels[4:], TASKS):
-        below.axvline(0, color="grey")
-        for learner, curve in curves_of(task, rows).items():
-            _, color, dashes = LEARNERS[learner]
-            above.plot(curve.groupby("steps")["return"].mean(), color=color, ls=dashes, lw=3,
-                       label=learner)
-            finals = curve.loc[curve["steps"] == 1, "return"]
-            if learner == "ours":
-                ours = finals.mean()
-            below.plot(ours - finals, [list(LEARNERS).index(learner)] * len(finals), "|", ms=12,
-                       color=color, alpha=0.7)
-        for (of_task, peer, *_, gain), different in zip(lines, holds):
-            if of_task == task[:-3]:
-                below.errorbar(gain.gain, list(LEARNERS).index(peer) - 0.3, xerr=gain.margin,
-                               fmt="o", capsize=3, color=LEARNERS[peer][1],
-                               mfc=None if different else "white")
-        if LEFT_OUT[0] == returns.TASKS[task]:
-            below.text(0.02, list(LEARNERS).index("sb3, zoo"), " left out", va="center")
+        finals = finals_of(task, rows)
+        for place, (learner, (_, color, dashes)) in enumerate(LEARNERS.items()):
+            if learner not in finals:
+                why = "left out" if LEFT_OUT[0] == returns.TASKS[task] else "not run"
+                below.text(0.05, place, why, va="center", transform=below.get_yaxis_transform())
+                continue
+            curve = curves_of(task, rows)[learner].groupby("steps")["return"].mean()
+            above.plot(curve, color=color, ls=dashes, lw=3, label=learner)
+            below.plot(finals[learner], [place] * len(finals[learner]), "|", ms=18, mew=2,
+                       color=color)
+            filled = learner == "ours" or (task[:-3], learner) in unlike_ours
+            below.plot(finals[learner].mean(), place, MARKERS[learner], ms=11, mew=2, color=color,
+                       mfc=color if filled else "white")
+        below.axvline(finals["ours"].mean(), color=LEARNERS["ours"][1], lw=1.5, zorder=0)
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="peer ← better → ours", yticks=[], ylim=(4.5, -0.5))
+        below.set(xlabel="return at the end", yticks=[], ylim=(4.5, -0.5))
     panels[0].set_ylabel("mean return without noise")
     panels[4].set_yticks(range(len(LEARNERS)), LEARNERS)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
@@ -107,18 +105,18 @@ def draw_minutes(rows):
             low, middle, high = minutes[change]
             axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
                           fmt=MARKERS[learner], ms=10, color=color, label=learner)
-        axis.set(title=task[:-3], xlabel="minutes", xscale="log", xticks=[2, 5, 10, 20],
+        axis.set(title=task[:-3], xlabel="minutes (log)", xscale="log", xticks=[2, 5, 10, 20],
                  xlim=(1.5, 40))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.minorticks_off()
     panels[0].set_ylabel("return after a million steps")
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    of_defaults = [ratio for (_, learner), ratio in ratios.items()
-                   if learner in ("CleanRL", "sb3, defaults")]
+    spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
+        [ratio for (_, learner), ratio in ratios.items() if learner in learners]
+        for learners in (("CleanRL", "sb3, defaults"), ("sb3, our sizes",)))]
     picture.suptitle(
-        f"A million steps take peers with their defaults {min(of_defaults):.1f} to "
-        f"{max(of_defaults):.1f} times as long as ours\n"
-        "vertical: std of seeds; horizontal: range of the estimate; best: upper left")
+        f"A million steps take peers' defaults {spans[0]} times as long as ours, with our sizes "
+        f"{spans[1]}\n(vertical: std of seeds; horizontal: range of peers' estimated minutes)")
     pages.save(picture, "ppo_minutes")
 
 
@@ -196,9 +194,9 @@ def draw(rows):
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
     undecided = list(holds)[: len(lines)].count(False)
-    title = f"{title_of(lines, holds)}; the other {undecided} differences are undecided"
-    picture.suptitle(f"{title}\nbelow: our mean minus each run (ticks), and minus the peer's mean "
-                     "(95%; filled: significant)", wrap=True)
+    picture.suptitle(
+        f"{title_of(lines, holds)}; the other {undecided} differences are undecided\n"
+        "below: each run (|) and their mean (filled: significantly unlike ours)")
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),
