@@ -30,7 +30,8 @@ def of_runs():
     yield f"Noise costs ours {reacher:.0f} points on Reacher, {pusher:.0f} on Pusher"
     cheetahs = compare.spread(finals.loc[returns.TASKS["HalfCheetah-v5"], "return"])
     yield f"HalfCheetah, its best case, ends at {cheetahs}"
-    first = study.read("other_machine").set_index(["options", "seed"])["return"]
+    first = study.read("other_machine").query("options != ''")
+    first = first.set_index(["options", "seed"])["return"]
     unlike = []
     for options, elsewhere in first.groupby("options"):
         here = finals.loc[options].set_index("seed")["return"]

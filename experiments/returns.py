@@ -72,22 +72,27 @@ def task_line(task, rows):
             at_threshold(task, rows), number(finals["seconds"].median() / 60, 1)]
 
 
-def script_line(script, runs, typed):
+def script_line(script, runs, *typed):
+    """`typed`: runs of the plain command, on our machine and on a slower one."""
     _, args = study.load(Job(script))
     threshold = gym.spec(args.env_id).reward_threshold
     returned = runs["return"]
     return [f"`{script}`", args.env_id, compare.spread(returned), number(returned.min()),
             f"{sum(returned >= threshold)} of {len(returned)} ≥ {threshold:,g}",
-            f"{args.total_steps:,}: {number(typed['seconds'].median())} s"]
+            "{:,}: {} s ({} s)".format(
+                args.total_steps, *(number(x["seconds"].median()) for x in typed))]
 
 
 def draw(rows):
-    hundred, typed = (rows[rows["options"] == x].groupby("script") for x in (HUNDRED, ""))
+    elsewhere = study.read("other_machine")
+    hundred, typed, slower = (x[x["options"] == options].groupby("script") for x, options in (
+        (rows, HUNDRED), (rows, ""), (elsewhere, "")))
     of_task = {task: rows[rows["options"] == options] for task, options in TASKS.items()}
     draw_tasks(of_task)
     return {"three scripts": pages.table(
-        ["file", "task", "mean ± std", "lowest", "solved", "steps: median time"],
-        [script_line(x, hundred.get_group(x), typed.get_group(x)) for x in SEEDS]),
+        ["file", "task", "mean ± std", "lowest", "solved", "steps: median time (Xeon)"],
+        [script_line(x, *(runs.get_group(x) for runs in (hundred, typed, slower)))
+         for x in SEEDS]),
         "ten tasks": pages.table(
             ["task", "mean ± std", "lowest", "at threshold", "median minutes"],
             [task_line(task, runs) for task, runs in of_task.items()])}
