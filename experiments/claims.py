@@ -101,7 +101,6 @@ def of_the_ablation():
     yield f"the eight unchanged runs alone range from {low} to {high}"
     pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
     clip, both = pendulum.loc["--clip-eps 1e9"], pendulum.loc["--clip-eps 1e9 --max-kl 1e9"]
-    yield f"no clip; the KL limit stays: {number(clip['gain'])}%"
     low, high = (number(both["gain"] + sign * both["margin"]) for sign in (-1, 1))
     yield (f"loses {-clip['gain']:.0f}% without the clip, but {-both['gain']:.0f}% without both "
            f"clip and KL limit ({low} to {high})")
