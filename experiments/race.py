@@ -105,12 +105,17 @@ def draw_minutes(rows):
             low, middle, high = minutes[change]
             axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
                           fmt=MARKERS[learner], ms=10, color=color, label=learner)
+        if returns.TASKS[task] == CHEETAH:
+            theirs = study.final_rows(rows).set_index(["options", "change"]).loc[LIKE["CleanRL's"]]
+            axis.errorbar(theirs["seconds"].median() / 60, theirs["return"].mean(),
+                          theirs["return"].std(), fmt="o", ms=10, mfc="white", color="C0",
+                          label="ours with CleanRL's settings")
         axis.set(title=task[:-3], xlabel="minutes (log)", xscale="log", xticks=[2, 5, 10, 20],
                  xlim=(1.5, 40))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.minorticks_off()
     panels[0].set_ylabel("return after a million steps")
-    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
     spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
         [ratio for (_, learner), ratio in ratios.items() if learner in learners]
         for learners in (("CleanRL", "sb3, defaults"), ("sb3, our sizes",)))]
