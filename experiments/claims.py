@@ -69,13 +69,11 @@ def of_other_defaults():
     yield ", ".join(lows)
 
 
-
 def of_walkers(walkers):
     yield f"from {number(walkers.min())} to {number(walkers.max())}"
     sb3 = race.finals_of("Walker2d-v5", study.read("race"))["sb3, our sizes"]
     gain = compare.welch(walkers, sb3)
     gain = gain._replace(gain=-gain.gain)
-
     elsewhere = study.read("other_machine").set_index(["options", "seed"])["return"]
     first = elsewhere[returns.TASKS["Walker2d-v5"]].combine_first(walkers)
     yield (f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g}, but "
@@ -156,16 +154,14 @@ def of_cheetahs():
     """Of HalfCheetah, without noise."""
     rows, *_ = race.comparisons(study.read("race"))
     finals = race.finals_of("HalfCheetah-v5", rows)
-    learners = "ours", "CleanRL", "sb3, defaults", "sb3, zoo"
-    means = [finals[learner].mean() for learner in learners]
-
+    ours, cleanrl, sb3 = (finals[x].mean() for x in ("ours", "CleanRL", "sb3, defaults"))
     theirs = study.final_rows(study.read("race")).set_index(["options", "change"])["return"]
     finals["like CleanRL"] = theirs[race.LIKE["CleanRL's"]]
     row = [finals[learner] for learner in (
         "ours", "sb3, zoo", "like CleanRL", "sb3, defaults", "CleanRL")]
     yield f"| {' | '.join(f'{compare.spread(x)} ({len(x)})' for x in row)} |"
-    yield f"earns {means[0] / means[1]:.1f} times as much as CleanRL's PPO with its defaults"
-    yield f"{means[0] / means[2]:.1f} times as much as stable-baselines3's (sb3) with normalisation"
+    yield f"earns {ours / cleanrl:.1f} times as much as CleanRL's PPO with its defaults"
+    yield f"{ours / sb3:.1f} times as much as stable-baselines3's (sb3) with normalisation"
 
 
 def of_others_settings():

@@ -72,15 +72,15 @@ def task_line(task, rows):
             at_threshold(task, rows), number(finals["seconds"].median() / 60, 1)]
 
 
-def script_line(script, runs, *typed):
-    """`typed`: runs of the plain command, on our machine and on a slower one."""
+def script_line(script, runs, typed, slower):
+    """`typed` and `slower`: runs of the plain command, on our machine and on a slower one."""
     _, args = study.load(Job(script))
     threshold = gym.spec(args.env_id).reward_threshold
     returned = runs["return"]
+    here, elsewhere = (number(x["seconds"].median()) for x in (typed, slower))
     return [f"`{script}`", args.env_id, compare.spread(returned), number(returned.min()),
             f"{sum(returned >= threshold)} of {len(returned)} ≥ {threshold:,g}",
-            "{:,}: {} s ({} s)".format(
-                args.total_steps, *(number(x["seconds"].median()) for x in typed))]
+            f"{args.total_steps:,}: {here} s ({elsewhere} s)"]
 
 
 def draw(rows):
