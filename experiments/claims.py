@@ -79,7 +79,7 @@ def of_walkers(walkers):
     yield (f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g}, but "
            f"{compare.welch(first, sb3).p:.2g}, significant, before five of our runs")
     of_task = more_seeds.samples(study.read("more_seeds"))
-    cheetahs, hoppers, walkers = (list(x.values())[-1] for x in of_task.values())
+    cheetahs, hoppers, walkers, *_ = (list(x.values())[-1] for x in of_task.values())
     yield (f"all {len(cheetahs)} cheetahs have {compare.spread(cheetahs)}, all {len(hoppers)} "
            f"hoppers {compare.spread(hoppers)}, from {number(hoppers.min())}, and all "
            f"{len(walkers)} walkers {compare.spread(walkers)}")
