@@ -67,8 +67,8 @@ def draw_gains(details, order, tasks):
         axis.set(title=title, xlabel="change in return, %", xlim=(-100, 65))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
     picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
-                     f"worse, in {better} better: filled dots\nhollow: undecided, even where the "
-                     "95% interval, not corrected for so many, leaves out 0")
+                     f"worse, in {better} better (filled)\nhollow: undecided, even where the 95% "
+                     "interval of the eight pairs of seeds leaves out 0")
     pages.save(picture, "ablation")
 
 

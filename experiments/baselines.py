@@ -67,8 +67,9 @@ def draw(rows):
     for i, p in enumerate(compare.marked(tests[2:])):  # those of "none" compare it with itself
         lines[1 + i // 2][2 + i % 2] += f", p {p}"
     picture, (left, middle, right) = pages.figure(13, 5, 1, 3)
+    faster = compare.holm(tests[2:]).any()
     titles = ("variance of the gradient after\n10,000 steps (none: 1)",
-              "return, averaged\nover the run")
+              f"return, averaged over the run\n({'' if faster else 'no '}significant difference)")
     for axis, dots, title in zip((left, right), (variance, whole), titles):
         sns.swarmplot(dots, color="black", size=6, ax=axis)
         for i, name in enumerate(BASELINES):
@@ -83,7 +84,6 @@ def draw(rows):
     middle.xaxis.set_major_formatter("{x:,.0f}")
     middle.legend(loc="lower right")
     middle.axhline(950, ls=":", color="black", lw=1.5)
-    faster = compare.holm(tests[2:]).any()
     verdict = "and learning faster" if faster else "faster learning may be chance"
     picture.suptitle("A baseline makes REINFORCE's gradient less noisy (InvertedPendulum);\n"
                      + verdict)

@@ -92,36 +92,42 @@ def draw_steps(rows, lines, holds):
 
 
 def draw_minutes(rows):
-    """Return of a million steps against the minutes: the median of ours, times others' ratio."""
-    picture, panels = pages.figure(14, 5.2, 1, 3)
+    """Minutes of a million steps, the median of ours times others' ratio; beside them returns."""
+    picture, panels = pages.figure(14, 5, 1, 3, sharex=True, sharey=True)
+    bars = {**LEARNERS, "ours with\nCleanRL's settings": (None, "C0", "-")}
     ratios = {}
     for axis, task in zip(panels, BEST):
         slowness = slowness_of(task)
         ours = rows[(rows["options"] == returns.TASKS[task]) & (rows["change"] == "ours")]
         minutes = study.final_rows(ours)["seconds"].median() / 60 * slowness
+        found = {}
         for learner, finals in finals_of(task, rows).items():
-            change, color, _ = LEARNERS[learner]
+            change = LEARNERS[learner][0]
             ratios[task, learner] = slowness.loc["median", change]
-            low, middle, high = minutes[change]
-            axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
-                          fmt=MARKERS[learner], ms=10, color=color, label=learner)
+            found[learner] = *minutes[change], finals
         if returns.TASKS[task] == CHEETAH:
             theirs = study.final_rows(rows).set_index(["options", "change"]).loc[LIKE["CleanRL's"]]
-            axis.errorbar(theirs["seconds"].median() / 60, theirs["return"].mean(),
-                          theirs["return"].std(), fmt="o", ms=10, mfc="white", color="C0",
-                          label="ours with CleanRL's settings")
-        axis.set(title=task[:-3], xlabel="minutes (log)", xscale="log", xticks=[2, 5, 10, 20],
-                 xlim=(1.5, 40))
-        axis.xaxis.set_major_formatter("{x:g}")
-        axis.minorticks_off()
-    panels[0].set_ylabel("return after a million steps")
-    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+            spent = (theirs["seconds"] / 60).quantile([0, 0.5, 1])
+            found[list(bars)[-1]] = *spent, theirs["return"]
+        for name, (low, middle, high, finals) in found.items():
+            place = list(bars).index(name)
+            axis.barh(place, middle, color=bars[name][1], alpha=0.6,
+                      xerr=[[middle - low], [high - middle]])
+            axis.text(high + 0.5, place, compare.spread(finals), va="center")
+        for name in bars.keys() - found:
+            left_out = (returns.TASKS[task], bars[name][0]) == LEFT_OUT
+            axis.text(0.5, list(bars).index(name), "left out" if left_out else "not run",
+                      va="center")
+        axis.set(title=task[:-3], xlabel="minutes", xlim=(0, 52), xticks=range(0, 31, 10))
+        axis.grid(axis="y", visible=False)
+    panels[0].set_yticks(range(len(bars)), bars)
+    panels[0].invert_yaxis()
     spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
         [ratio for (_, learner), ratio in ratios.items() if learner in learners]
         for learners in (("CleanRL", "sb3, defaults"), ("sb3, our sizes",)))]
     picture.suptitle(
         f"A million steps take peers' defaults {spans[0]} times as long as ours, with our sizes "
-        f"{spans[1]}\n(vertical: std of seeds; horizontal: range of peers' estimated minutes)")
+        f"{spans[1]}\n(beside each bar: the return; lines: range of the minutes)")
     pages.save(picture, "ppo_minutes")
 
 
@@ -201,7 +207,7 @@ def draw(rows):
     undecided = list(holds)[: len(lines)].count(False)
     picture.suptitle(
         f"{title_of(lines, holds)}; the other {undecided} differences are undecided\n"
-        "below: each run (|) and their mean (filled: significantly unlike ours)")
+        "above: means of 5 or 10 seeds; below: the seeds (|), their mean (filled: significant)")
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),
