@@ -62,13 +62,16 @@ def draw_gains(details, order, tasks):
         effect = details[details["table"] == task].set_index("change").loc[order[::-1]]
         axis.errorbar(effect["gain"], effect.index, xerr=effect["margin"], fmt="o", mfc="white",
                       capsize=3)
-        axis.plot(effect["gain"].where(effect["holds"]), effect.index, "o", color="C0", zorder=3)
+        for change, found in effect[effect["holds"]].iterrows():
+            axis.plot(found["gain"], change, "o", color="C0", zorder=3)
+            axis.text(found["gain"] + found["margin"] + 3, change, compare.number(found["gain"]),
+                      va="center", backgroundcolor="white")
         axis.axvline(0, color="grey")
         axis.set(title=title, xlabel="change in return, %", xlim=(-100, 65))
     better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
     picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
-                     f"worse, in {better} better (filled)\nhollow: undecided, even where the 95% "
-                     "interval of the eight pairs of seeds leaves out 0")
+                     f"worse (filled), in {better or 'none'} better\nhollow: undecided, even "
+                     "where the 95% interval of the eight pairs of seeds leaves out 0")
     pages.save(picture, "ablation")
 
 

@@ -76,7 +76,8 @@ def draw_steps(rows, lines, holds):
                 below.text(0.05, place, why, va="center", transform=below.get_yaxis_transform())
                 continue
             curve = curves_of(task, rows)[learner].groupby("steps")["return"].mean()
-            above.plot(curve, color=color, ls=dashes, lw=3, label=learner)
+            above.plot(curve, MARKERS[learner], color=color, ls=dashes, lw=3, ms=9,
+                       markevery=[-1], label=learner)
             below.plot(finals[learner], [place] * len(finals[learner]), "|", ms=18, mew=2,
                        color=color)
             filled = learner == "ours" or (task[:-3], learner) in unlike_ours
@@ -118,16 +119,17 @@ def draw_minutes(rows):
             left_out = (returns.TASKS[task], bars[name][0]) == LEFT_OUT
             axis.text(0.5, list(bars).index(name), "left out" if left_out else "not run",
                       va="center")
-        axis.set(title=task[:-3], xlabel="minutes", xlim=(0, 52), xticks=range(0, 31, 10))
+        axis.set(title=task[:-3], xlabel="minutes (peers': estimated)", xlim=(0, 52),
+                 xticks=range(0, 31, 10))
         axis.grid(axis="y", visible=False)
     panels[0].set_yticks(range(len(bars)), bars)
     panels[0].invert_yaxis()
     spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
         [ratio for (_, learner), ratio in ratios.items() if learner in learners]
-        for learners in (("CleanRL", "sb3, defaults"), ("sb3, our sizes",)))]
+        for learners in (("CleanRL", "sb3, defaults"), ("sb3, zoo",), ("sb3, our sizes",)))]
     picture.suptitle(
-        f"A million steps take peers' defaults {spans[0]} times as long as ours, with our sizes "
-        f"{spans[1]}\n(beside each bar: the return; lines: range of the minutes)")
+        f"A million steps take peers' defaults {spans[0]} times as long as ours, the zoo's settings"
+        f"\n{spans[1]}, ours {spans[2]} (beside a bar: return; line: range of its minutes)")
     pages.save(picture, "ppo_minutes")
 
 

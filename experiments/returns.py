@@ -47,7 +47,8 @@ def draw_tasks(of_task):
             axis.axhline(goal, color="black", ls=":", lw=1.5, label="Gymnasium's threshold")
         elif goal is not None:
             title += ", off scale"
-        axis.set_title(f"{task[:-3]}\n{title}")
+        final = compare.spread(study.final_rows(runs)["return"])
+        axis.set_title(f"{task[:-3]}: {final}\n{title}")
         sampled = runs.groupby("millions")["sampled"].mean()
         axis.plot(sampled, "C1-.", lw=3, label="in training: mean")
         if task in STANDING:
