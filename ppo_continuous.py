@@ -40,7 +40,7 @@ its own policy, π_old, did, so π must stay near π_old. One update:
   6. Update the statistics that normalise observations. Start again at 1.
 
 PPO itself is 2, 4, and the minibatches and loss of 5. The rest is usual [4], except σ's schedule,
-and tanh, which bounds actions. Left out: entropy bonus; clipping of rewards, gradients, value loss.
+tanh, and a KL check a step. Left out: entropy bonus; clipping of rewards, gradients, value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -455,8 +455,8 @@ def check_finite(name, x):
 def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
-    Always from the same starts; it leaves the generators as they were. Without a time limit it ends
-    after 1,000 steps. `before_step(step)` is called before each step.
+    Always from the same starts; it leaves the global generators as they were. Without a time limit
+    it ends after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -502,7 +502,7 @@ def watch(path):
         with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps") or 20
-            every = max(1, fps // 25)  # steps for a frame
+            every = max(1, fps // 25)  # steps per frame
             duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
             def film_step(step):

@@ -352,8 +352,8 @@ def check_finite(name, x):
 def evaluate(agent, envs, seed, before_step=lambda step: None):
     """The mean return of one episode in each environment, without noise in the actions.
 
-    Always from the same starts; it leaves the generators as they were. Without a time limit it ends
-    after 1,000 steps. `before_step(step)` is called before each step.
+    Always from the same starts; it leaves the global generators as they were. Without a time limit
+    it ends after 1,000 steps. `before_step(step)` is called before each step.
     """
     states = np.random.get_state(), random.getstate(), torch.get_rng_state()
     make_repeatable(seed)
@@ -399,7 +399,7 @@ def watch(path):
         with (closing(make_envs(args, seed, 1, render_mode="rgb_array")) as envs,
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps") or 20
-            every = max(1, fps // 25)  # steps for a frame
+            every = max(1, fps // 25)  # steps per frame
             duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
 
             def film_step(step):

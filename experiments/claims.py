@@ -78,12 +78,14 @@ def of_walkers(walkers):
     yield (f"earns {gain.gain:,.0f} more ({gain.interval()}; p {gain.p:.2g}, but "
            f"{compare.welch(first, sb3).p:.2g}, significant, before five of our runs")
     of_task = more_seeds.samples(study.read("more_seeds"))
-    cheetahs, hoppers, walkers, *_ = (list(x.values())[-1] for x in of_task.values())
+    cheetahs, hoppers, walkers, pendulums = (list(x.values())[-1] for x in of_task.values())
     yield (f"all {len(cheetahs)} cheetahs have {compare.spread(cheetahs)}, all {len(hoppers)} "
-           f"hoppers {compare.spread(hoppers)}, from {number(hoppers.min())}, and all "
-           f"{len(walkers)} walkers {compare.spread(walkers)}")
+           f"hoppers {compare.spread(hoppers)}, from {number(hoppers.min())}, all {len(walkers)} "
+           f"walkers {compare.spread(walkers)}, and all {len(pendulums)} double pendulums "
+           f"{compare.spread(pendulums)}")
     yield f"{sum(hoppers < 1300)} of {len(hoppers)} hoppers below 1,300"
     yield f"with ten more seeds it has {compare.spread(cheetahs)}"
+    yield f"(with ten more seeds at {compare.spread(cheetahs)})"
     rows = study.read("race")
     leads = (compare.welch(cheetahs, race.finals_of("HalfCheetah-v5", rows)["sb3, zoo"]),
              compare.welch(hoppers, race.finals_of("Hopper-v5", rows)["sb3, defaults"]))
@@ -102,8 +104,8 @@ def of_the_ablation():
     pendulum = effects.set_index(["table", "change"]).loc["double pendulum"]
     clip, both = pendulum.loc["--clip-eps 1e9"], pendulum.loc["--clip-eps 1e9 --max-kl 1e9"]
     low, high = (number(both["gain"] + sign * both["margin"]) for sign in (-1, 1))
-    yield (f"loses {-clip['gain']:.0f}% without the clip, but {-both['gain']:.0f}% without both "
-           f"clip and KL limit ({low} to {high})")
+    yield f"Without the clip the double pendulum loses {-clip['gain']:.0f}%"
+    yield f"without both it loses {-both['gain']:.0f}% ({low} to {high})"
     found = effects.query("change in @ablation.DETAILS and holds")
     numbers = ["none", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine",
                "ten", "eleven", "twelve"]
@@ -183,7 +185,8 @@ def of_others_settings():
     yield f"With CleanRL's settings ours takes {slow} minutes on HalfCheetah, not {fast}"
     cheetahs = list(more_seeds.samples(study.read("more_seeds"))["HalfCheetah-v5"].values())[-1]
     low, high = map(number, compare.of_one_more(cheetahs))
-    yield f"Other processors round differently: expect {low} to {high} (95%)"
+    yield (f"Other processors round differently: expect {low} to {high} (95%, from all "
+           f"{len(cheetahs)} seeds)")
 
 
 def earlier_trials():

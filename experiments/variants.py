@@ -56,13 +56,13 @@ CHANGES = {
         ("        G = reward + gamma * G\n", "        G = ...\n"),
         ('"none": 0.0, "mean": rewards_to_go.mean(), "value": values',
          '"none": ..., "mean": ..., "value": ...')]),
-    "blank-physics": (A2C, [
-        ("np.random.default_rng([seed, 1])", "..."),
-        ("self.rng.uniform(-11.99, -7.0)", "..."), ("bool(self.rng.integers(2))", "..."),
-        ("self.rng.uniform(0.0, 20.0)", "..."), ("self.rng.uniform(0.0, 2.0)", "...")]),
     "blank-gae": (PPO, [
         ("rewards + gamma * next_values * ~terminated - values  # at first only δ", "..."),
         ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
+    "blank-ratio": (PPO, [
+        ("(policy.log_prob(actions).sum(-1) - old_log_probs).exp()", "..."),
+        ("(((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2", "..."),
+        ("(A - A.mean()) / (A.std(correction=0) + 1e-8)", "...")]),
 }
 CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradients-clipped")
                             for pair in CHANGES[name][1]]
