@@ -40,7 +40,7 @@ its own policy, π_old, did, so π must stay near π_old. One update:
   6. Update the statistics that normalise observations. Start again at 1.
 
 PPO itself is 2, 4, and the minibatches and loss of 5. The rest is usual [4], except σ's schedule,
-tanh, and a KL check a step. Left out: entropy bonus; clipping of rewards, gradients, value loss.
+tanh, and when KL is checked. Left out: entropy bonus; clipping of rewards, gradients, value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
