@@ -83,9 +83,8 @@ def of_walkers(walkers):
            f"hoppers {compare.spread(hoppers)}, from {number(hoppers.min())}, all {len(walkers)} "
            f"walkers {compare.spread(walkers)}, and all {len(pendulums)} double pendulums "
            f"{compare.spread(pendulums)}")
-    yield f"{sum(hoppers < 1300)} of {len(hoppers)} hoppers below 1,300"
-    yield f"with ten more seeds it has {compare.spread(cheetahs)}"
-    yield f"(with ten more seeds at {compare.spread(cheetahs)})"
+    yield f"{sum(hoppers < 1300)} of {len(hoppers)} hoppers end below 1,300"
+    yield f"(all {len(cheetahs)} seeds: {compare.spread(cheetahs)})"
     rows = study.read("race")
     leads = (compare.welch(cheetahs, race.finals_of("HalfCheetah-v5", rows)["sb3, zoo"]),
              compare.welch(hoppers, race.finals_of("Hopper-v5", rows)["sb3, defaults"]))
@@ -185,8 +184,8 @@ def of_others_settings():
     yield f"With CleanRL's settings ours takes {slow} minutes on HalfCheetah, not {fast}"
     cheetahs = list(more_seeds.samples(study.read("more_seeds"))["HalfCheetah-v5"].values())[-1]
     low, high = map(number, compare.of_one_more(cheetahs))
-    yield (f"Other processors round differently: expect {low} to {high} (95%, from all "
-           f"{len(cheetahs)} seeds)")
+    yield (f"Other processors and versions round differently: expect {low} to {high} (95%, from "
+           f"all {len(cheetahs)} seeds)")
 
 
 def earlier_trials():

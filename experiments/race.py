@@ -96,16 +96,15 @@ def draw_minutes(rows):
     """Minutes of a million steps, the median of ours times others' ratio; beside them returns."""
     picture, panels = pages.figure(14, 5, 1, 3, sharex=True, sharey=True)
     bars = {**LEARNERS, "ours with\nCleanRL's settings": (None, "C0", "-")}
-    ratios = {}
+    ratios = []
     for axis, task in zip(panels, BEST):
         slowness = slowness_of(task)
         ours = rows[(rows["options"] == returns.TASKS[task]) & (rows["change"] == "ours")]
         minutes = study.final_rows(ours)["seconds"].median() / 60 * slowness
+        ratios.append(slowness.loc["median"])
         found = {}
         for learner, finals in finals_of(task, rows).items():
-            change = LEARNERS[learner][0]
-            ratios[task, learner] = slowness.loc["median", change]
-            found[learner] = *minutes[change], finals
+            found[learner] = *minutes[LEARNERS[learner][0]], finals
         if returns.TASKS[task] == CHEETAH:
             theirs = study.final_rows(rows).set_index(["options", "change"]).loc[LIKE["CleanRL's"]]
             spent = (theirs["seconds"] / 60).quantile([0, 0.5, 1])
@@ -114,22 +113,22 @@ def draw_minutes(rows):
             place = list(bars).index(name)
             axis.barh(place, middle, color=bars[name][1], alpha=0.6,
                       xerr=[[middle - low], [high - middle]])
-            axis.text(high + 0.5, place, compare.spread(finals), va="center")
+            axis.text(high + 0.5, place, f"return {compare.spread(finals)}", va="center")
         for name in bars.keys() - found:
             left_out = (returns.TASKS[task], bars[name][0]) == LEFT_OUT
             axis.text(0.5, list(bars).index(name), "left out" if left_out else "not run",
                       va="center")
-        axis.set(title=task[:-3], xlabel="minutes (peers': estimated)", xlim=(0, 52),
+        axis.set(title=task[:-3], xlabel="minutes (peers': estimated)", xlim=(0, 72),
                  xticks=range(0, 31, 10))
         axis.grid(axis="y", visible=False)
     panels[0].set_yticks(range(len(bars)), bars)
     panels[0].invert_yaxis()
-    spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
-        [ratio for (_, learner), ratio in ratios.items() if learner in learners]
-        for learners in (("CleanRL", "sb3, defaults"), ("sb3, zoo",), ("sb3, our sizes",)))]
+    ratios = pd.DataFrame(ratios)
+    spans = [f"{ratios[of].min(axis=None):.1f} to {ratios[of].max(axis=None):.1f}"
+             for of in (["CleanRL", "defaults"], ["zoo"], ["our sizes"])]
     picture.suptitle(
-        f"A million steps take peers' defaults {spans[0]} times as long as ours, the zoo's settings"
-        f"\n{spans[1]}, ours {spans[2]} (beside a bar: return; line: range of its minutes)")
+        f"A million steps take peers {spans[0]} times as long as ours with their defaults,\n"
+        f"{spans[1]} with the zoo's settings, {spans[2]} with our sizes (black: range)")
     pages.save(picture, "ppo_minutes")
 
 
