@@ -21,8 +21,8 @@ RUN = {  # number: what the answers call it, without, the change
     8: ("time is up: a fall", POLE, "time-limits-as-deaths")}
 SHORT = "--total-steps 32768"
 FIND = {"right": "", "10": "fault-1", "11": "fault-2", "12": "fault-3",
-        "rewards": "rewards-not-scaled", "statistics": "observations-not-normalised"}
-SHOWN = {"first eval_return": 0, "last eval_return": 0, "first return": 0, "last return": 0,
+        "rewards": "rewards-not-scaled"}
+SHOWN = {"last eval_return": 0, "first return": 0, "last return": 0,
          "median value_loss": 3, "first explained_variance": 2, "median explained_variance": 2,
          "median kl": 3, "median clip_fraction": 3}  # with so many digits
 JOBS = [*(with_change(job, change, seed) for seed in range(1, 6) for _, job, change in
