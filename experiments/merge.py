@@ -46,7 +46,7 @@ def main(folders):
     print(finals.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
     for (one, x), (other, y) in itertools.combinations(finals, 2):
         gain, margin, p = compare.welch(y, x)
-        print(f"{other} − {one}: {gain:.4g}, 95%: {gain - margin:.4g} to {gain + margin:.4g}, "
+        print(f"{other} − {one}: {gain:.5g}, 95%: {gain - margin:.5g} to {gain + margin:.5g}, "
               f"p = {p:.3g}")
     picture, (axis,) = pages.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps

@@ -61,8 +61,7 @@ CHANGES = {
         ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
     "blank-ratio": (PPO, [
         ("(policy.log_prob(actions).sum(-1) - old_log_probs).exp()", "..."),
-        ("(((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2", "..."),
-        ("(A - A.mean()) / (A.std(correction=0) + 1e-8)", "...")]),
+        ("(((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2", "...")]),
 }
 CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradients-clipped")
                             for pair in CHANGES[name][1]]
