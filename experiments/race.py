@@ -65,29 +65,31 @@ def slowness_of(task):
 
 
 def draw_steps(rows, lines, holds):
-    """Above: means against steps. Below: the last return of each run, and their mean."""
-    picture, panels = pages.figure(15, 9, 2, 4)
-    unlike_ours = {line[:2] for line, different in zip(lines, holds) if different}
+    """Above: means against steps. Below: ours minus each peer's at the end, with 95% intervals."""
+    picture, panels = pages.figure(15, 8, 2, 4, height_ratios=(3, 2))
+    peers = list(LEARNERS)[1:]
     for above, below, task in zip(panels[:4], panels[4:], TASKS):
-        finals = finals_of(task, rows)
-        for place, (learner, (_, color, dashes)) in enumerate(LEARNERS.items()):
-            if learner not in finals:
-                why = "left out" if LEFT_OUT[0] == returns.TASKS[task] else "not run"
-                below.text(0.05, place, why, va="center", transform=below.get_yaxis_transform())
+        for learner, curve in curves_of(task, rows).items():
+            _, color, dashes = LEARNERS[learner]
+            above.plot(curve.groupby("steps")["return"].mean(), MARKERS[learner], color=color,
+                       ls=dashes, lw=3, ms=9, markevery=[-1], label=learner)
+        compared = {line[1]: (line[-1], different) for line, different in zip(lines, holds)
+                    if line[0] == task[:-3]}
+        for place, peer in enumerate(peers):
+            if peer not in compared:
+                left_out = (returns.TASKS[task], LEARNERS[peer][0]) == LEFT_OUT
+                below.text(0.05, place, "left out" if left_out else "not run", va="center",
+                           transform=below.get_yaxis_transform())
                 continue
-            curve = curves_of(task, rows)[learner].groupby("steps")["return"].mean()
-            above.plot(curve, MARKERS[learner], color=color, ls=dashes, lw=3, ms=9,
-                       markevery=[-1], label=learner)
-            below.plot(finals[learner], [place] * len(finals[learner]), "|", ms=18, mew=2,
-                       color=color)
-            filled = learner == "ours" or (task[:-3], learner) in unlike_ours
-            below.plot(finals[learner].mean(), place, MARKERS[learner], ms=11, mew=2, color=color,
-                       mfc=color if filled else "white")
-        below.axvline(finals["ours"].mean(), color=LEARNERS["ours"][1], lw=1.5, zorder=0)
+            gain, different = compared[peer]
+            color = LEARNERS[peer][1]
+            below.errorbar(gain.gain, place, xerr=gain.margin, fmt=MARKERS[peer], ms=11, mew=2,
+                           capsize=4, color=color, mfc=color if different else "white")
+        below.axvline(0, color="grey")
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="return at the end", yticks=[], ylim=(4.5, -0.5))
-    panels[0].set_ylabel("mean return without noise")
-    panels[4].set_yticks(range(len(LEARNERS)), LEARNERS)
+        below.set(xlabel="ours minus peer's", yticks=[], ylim=(3.5, -0.5))
+    panels[0].set_ylabel("mean return")
+    panels[4].set_yticks(range(len(peers)), peers)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
 
@@ -208,7 +210,7 @@ def draw(rows):
     undecided = list(holds)[: len(lines)].count(False)
     picture.suptitle(
         f"{title_of(lines, holds)}; the other {undecided} differences are undecided\n"
-        "above: means of 5 or 10 seeds; below: the seeds (|), their mean (filled: significant)")
+        "above: means of 5 or 10 seeds; below: differences at the end, 95% (filled: significant)")
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),
