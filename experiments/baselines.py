@@ -76,8 +76,9 @@ def draw(rows):
             axis.plot([i - 0.3, i + 0.3], 2 * [dots[name].mean()], f"C{i}", lw=4)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
     for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
-        middle.plot(curve.mean(axis="columns"), dashes, lw=3, label=name)
-    middle.set(title="return, mean of ten seeds\n(thin line: solved)", xlabel="steps",
+        line, = middle.plot(curve.mean(axis="columns"), dashes, lw=3, label=name)
+        middle.plot(curve, dashes, lw=0.8, alpha=0.6, color=line.get_color(), zorder=1)
+    middle.set(title="return: mean and ten seeds\n(black: solved)", xlabel="steps",
                xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
     middle.xaxis.set_major_formatter("{x:,.0f}")
     middle.legend(loc="lower right")

@@ -66,9 +66,9 @@ def slowness_of(task):
 
 def draw_steps(rows, lines, holds):
     """Above: means against steps. Below: ours minus each peer's at the end, with 95% intervals."""
-    picture, panels = pages.figure(15, 8, 2, 4, height_ratios=(3, 2))
+    picture, panels = pages.figure(14, 9, 2, 3, height_ratios=(3, 2))
     peers = list(LEARNERS)[1:]
-    for above, below, task in zip(panels[:4], panels[4:], TASKS):
+    for above, below, task in zip(panels[:3], panels[3:], BEST):
         for learner, curve in curves_of(task, rows).items():
             _, color, dashes = LEARNERS[learner]
             above.plot(curve.groupby("steps")["return"].mean(), MARKERS[learner], color=color,
@@ -89,48 +89,42 @@ def draw_steps(rows, lines, holds):
         above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
         below.set(xlabel="ours minus peer's", yticks=[], ylim=(3.5, -0.5))
     panels[0].set_ylabel("mean return")
-    panels[4].set_yticks(range(len(peers)), peers)
+    panels[3].set_yticks(range(len(peers)), peers)
     picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return picture
 
 
 def draw_minutes(rows):
-    """Minutes of a million steps, the median of ours times others' ratio; beside them returns."""
-    picture, panels = pages.figure(14, 5, 1, 3, sharex=True, sharey=True)
-    bars = {**LEARNERS, "ours with\nCleanRL's settings": (None, "C0", "-")}
-    ratios = []
+    """Return of a million steps against the minutes: the median of ours, times others' ratio."""
+    picture, panels = pages.figure(14, 5.2, 1, 3)
+    ratios = {}
     for axis, task in zip(panels, BEST):
         slowness = slowness_of(task)
         ours = rows[(rows["options"] == returns.TASKS[task]) & (rows["change"] == "ours")]
         minutes = study.final_rows(ours)["seconds"].median() / 60 * slowness
-        ratios.append(slowness.loc["median"])
-        found = {}
         for learner, finals in finals_of(task, rows).items():
-            found[learner] = *minutes[LEARNERS[learner][0]], finals
+            change, color, _ = LEARNERS[learner]
+            ratios[task, learner] = slowness.loc["median", change]
+            low, middle, high = minutes[change]
+            axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
+                          fmt=MARKERS[learner], ms=12, color=color, label=learner)
         if returns.TASKS[task] == CHEETAH:
             theirs = study.final_rows(rows).set_index(["options", "change"]).loc[LIKE["CleanRL's"]]
-            spent = (theirs["seconds"] / 60).quantile([0, 0.5, 1])
-            found[list(bars)[-1]] = *spent, theirs["return"]
-        for name, (low, middle, high, finals) in found.items():
-            place = list(bars).index(name)
-            axis.barh(place, middle, color=bars[name][1], alpha=0.6,
-                      xerr=[[middle - low], [high - middle]])
-            axis.text(high + 0.5, place, f"return {compare.spread(finals)}", va="center")
-        for name in bars.keys() - found:
-            left_out = (returns.TASKS[task], bars[name][0]) == LEFT_OUT
-            axis.text(0.5, list(bars).index(name), "left out" if left_out else "not run",
-                      va="center")
-        axis.set(title=task[:-3], xlabel="minutes (peers': estimated)", xlim=(0, 72),
-                 xticks=range(0, 31, 10))
-        axis.grid(axis="y", visible=False)
-    panels[0].set_yticks(range(len(bars)), bars)
-    panels[0].invert_yaxis()
-    ratios = pd.DataFrame(ratios)
-    spans = [f"{ratios[of].min(axis=None):.1f} to {ratios[of].max(axis=None):.1f}"
-             for of in (["CleanRL", "defaults"], ["zoo"], ["our sizes"])]
+            axis.errorbar(theirs["seconds"].median() / 60, theirs["return"].mean(),
+                          theirs["return"].std(), fmt="o", ms=12, mfc="white", color="C0",
+                          label="ours with CleanRL's settings")
+        axis.set(title=task[:-3], xlabel="minutes (log; peers': estimated)", xscale="log",
+                 xticks=[2, 5, 10, 20], xlim=(1.5, 40))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.minorticks_off()
+    panels[0].set_ylabel("return after a million steps")
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6)
+    spans = [f"{min(x):.1f} to {max(x):.1f}" for x in (
+        [ratio for (_, learner), ratio in ratios.items() if learner in learners]
+        for learners in (("CleanRL", "sb3, defaults"), ("sb3, our sizes",)))]
     picture.suptitle(
-        f"A million steps take peers {spans[0]} times as long as ours with their defaults,\n"
-        f"{spans[1]} with the zoo's settings, {spans[2]} with our sizes (black: range)")
+        f"A million steps take peers' defaults {spans[0]} times as long as ours, with our sizes "
+        f"{spans[1]}\n(vertical: std of seeds; horizontal: range of peers' estimated minutes)")
     pages.save(picture, "ppo_minutes")
 
 
@@ -207,9 +201,9 @@ def draw(rows):
     holds, marked = compare.holm(p_values), compare.marked(p_values)
     draw_minutes(rows)
     picture = draw_steps(rows, lines, holds)
-    undecided = list(holds)[: len(lines)].count(False)
+    drawn = [different for line, different in zip(lines, holds) if f"{line[0]}-v5" in BEST]
     picture.suptitle(
-        f"{title_of(lines, holds)}; the other {undecided} differences are undecided\n"
+        f"{title_of(lines, holds)}; the other {drawn.count(False)} differences are undecided\n"
         "above: means of 5 or 10 seeds; below: differences at the end, 95% (filled: significant)")
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),

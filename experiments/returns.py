@@ -52,7 +52,7 @@ def draw_tasks(of_task):
         sampled = runs.groupby("millions")["sampled"].mean()
         axis.plot(sampled, "C1-.", lw=3, label="in training: mean")
         if task in STANDING:
-            axis.axhline(STANDING[task], color="black", ls="--", lw=1.5,
+            axis.axhline(STANDING[task], color="black", lw=1,
                          label="staying upright to the end")
         axis.get_legend().remove()
     picture.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=2)
