@@ -57,7 +57,7 @@ def effects(rows, tables):
 
 
 def draw_gains(details, order, tasks):
-    picture, panels = pages.figure(13, 6.5, 1, 3, sharex=True, sharey=True)
+    picture, panels = pages.figure(13, 7, 1, 3, sharex=True, sharey=True)
     for axis, (task, title) in zip(panels, tasks.items()):
         effect = details[details["table"] == task].set_index("change").loc[order[::-1]]
         axis.errorbar(effect["gain"], effect.index, xerr=effect["margin"], fmt="o", mfc="white",
@@ -65,13 +65,17 @@ def draw_gains(details, order, tasks):
         for change, found in effect[effect["holds"]].iterrows():
             axis.plot(found["gain"], change, "o", color="C0", zorder=3)
             axis.text(found["gain"] + found["margin"] + 3, change, compare.number(found["gain"]),
-                      va="center", backgroundcolor="white")
+                      va="center", bbox={"color": "white", "pad": 0})
         axis.axvline(0, color="grey")
         axis.set(title=title, xlabel="change in return, %", xlim=(-100, 65))
-    better, worse = (sum(details["holds"] & (sign * details["gain"] > 0)) for sign in (1, -1))
-    picture.suptitle(f"In {worse} of {len(details)} comparisons a change makes PPO significantly "
-                     f"worse (filled), in {better or 'none'} better\nhollow: undecided, even "
-                     "where the 95% interval of the eight pairs of seeds leaves out 0")
+    found = details[details["holds"]]
+    assert (found["gain"] < 0).all()  # as the title says
+    names = ", ".join(change for change in order if change in set(found["change"]))
+    low, high = (compare.number(-x) for x in (found["gain"].max(), found["gain"].min()))
+    picture.suptitle(f"{names}:\neach costs PPO {low} to {high}% on a task; "
+                     "no change helps significantly")
+    picture.supxlabel("filled: significant after correction; hollow: undecided,\n"
+                      "even where the 95% interval of the eight pairs leaves out 0", fontsize=14)
     pages.save(picture, "ablation")
 
 

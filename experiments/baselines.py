@@ -66,7 +66,7 @@ def draw(rows):
                       compare.spread(early[name]), compare.spread(whole[name])])
     for i, p in enumerate(compare.marked(tests[2:])):  # those of "none" compare it with itself
         lines[1 + i // 2][2 + i % 2] += f", p {p}"
-    picture, (left, middle, right) = pages.figure(13, 5, 1, 3)
+    picture, (left, middle, right) = pages.figure(13, 6, 1, 3)
     faster = compare.holm(tests[2:]).any()
     titles = ("variance of the gradient after\n10,000 steps (none: 1)",
               f"return, averaged over the run\n({'' if faster else 'no '}significant difference)")
@@ -75,14 +75,18 @@ def draw(rows):
         for i, name in enumerate(BASELINES):
             axis.plot([i - 0.3, i + 0.3], 2 * [dots[name].mean()], f"C{i}", lw=4)
         axis.set(xlabel="--baseline", ylabel="", title=title, ylim=(0, None))
-    for (name, curve), dashes in zip(curves.items(), (":", "-", "--")):
-        line, = middle.plot(curve.mean(axis="columns"), dashes, lw=3, label=name)
-        middle.plot(curve, dashes, lw=0.8, alpha=0.6, color=line.get_color(), zorder=1)
-    middle.set(title="return: mean and ten seeds\n(black: solved)", xlabel="steps",
-               xticks=[0, 50_000, 100_000], ylabel="", ylim=(0, None))
-    middle.xaxis.set_major_formatter("{x:,.0f}")
-    middle.legend(loc="lower right")
-    middle.axhline(950, color="black", lw=1)
+    middle.remove()
+    stack = middle.get_subplotspec().subgridspec(3, 1).subplots(sharex=True, sharey=True)
+    for i, (axis, name) in enumerate(zip(stack, BASELINES)):
+        for other in BASELINES:
+            axis.plot(curves[other].mean(axis="columns"), color="silver", lw=2)
+        axis.plot(curves[name], color=f"C{i}", lw=0.7)
+        axis.plot(curves[name].mean(axis="columns"), color=f"C{i}", lw=4)
+        axis.axhline(950, color="black", lw=1)
+        axis.text(99_000, 60, name, ha="right")
+    stack[0].set_title("return: ten seeds, their mean,\nothers' means (grey), solved (black)")
+    stack[-1].set(xlabel="steps", xticks=[0, 50_000, 100_000], yticks=[0, 500, 1000])
+    stack[-1].xaxis.set_major_formatter("{x:,.0f}")
     verdict = "and learning faster" if faster else "faster learning may be chance"
     picture.suptitle("A baseline makes REINFORCE's gradient less noisy (InvertedPendulum);\n"
                      + verdict)

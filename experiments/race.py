@@ -11,6 +11,7 @@ import peers
 import returns
 import study
 import variants
+from matplotlib.lines import Line2D
 from study import Job
 
 TASKS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", returns.PENDULUM
@@ -65,32 +66,44 @@ def slowness_of(task):
 
 
 def draw_steps(rows, lines, holds):
-    """Above: means against steps. Below: ours minus each peer's at the end, with 95% intervals."""
-    picture, panels = pages.figure(14, 9, 2, 3, height_ratios=(3, 2))
-    peers = list(LEARNERS)[1:]
-    for above, below, task in zip(panels[:3], panels[3:], BEST):
-        for learner, curve in curves_of(task, rows).items():
+    """Above: means against steps, and the runs at the end. Below: ours minus each peer's."""
+    picture, panels = pages.figure(15, 9.5, 2, 6, width_ratios=3 * (3, 2), height_ratios=(3, 2))
+    peers, seen = list(LEARNERS)[1:], dict(zip(zip(*list(zip(*lines))[:2]), holds))
+    gains = {line[:2]: line[-1] for line in lines}
+    for i, task in enumerate(BEST):
+        curve, ends, below, spare = panels[[2 * i, 2 * i + 1, 2 * i + 6, 2 * i + 7]]
+        spare.remove()
+        below.set_subplotspec(below.get_gridspec()[1, 2 * i : 2 * i + 2])
+        finals = finals_of(task, rows)
+        for place, (learner, seeds) in enumerate(curves_of(task, rows).items()):
             _, color, dashes = LEARNERS[learner]
-            above.plot(curve.groupby("steps")["return"].mean(), MARKERS[learner], color=color,
-                       ls=dashes, lw=3, ms=9, markevery=[-1], label=learner)
-        compared = {line[1]: (line[-1], different) for line, different in zip(lines, holds)
-                    if line[0] == task[:-3]}
+            curve.plot(seeds.groupby("steps")["return"].mean(), color=color, ls=dashes, lw=3)
+            ends.plot([place] * len(finals[learner]), finals[learner], ".", ms=9, color=color)
+            ends.plot(place, finals[learner].mean(), MARKERS[learner], ms=12, mew=2, mfc="none",
+                      color=color)
         for place, peer in enumerate(peers):
-            if peer not in compared:
-                left_out = (returns.TASKS[task], LEARNERS[peer][0]) == LEFT_OUT
-                below.text(0.05, place, "left out" if left_out else "not run", va="center",
+            if (task[:-3], peer) not in gains:
+                below.text(0.05, place, "left out", va="center",
                            transform=below.get_yaxis_transform())
                 continue
-            gain, different = compared[peer]
-            color = LEARNERS[peer][1]
-            below.errorbar(gain.gain, place, xerr=gain.margin, fmt=MARKERS[peer], ms=11, mew=2,
-                           capsize=4, color=color, mfc=color if different else "white")
+            gain, color = gains[task[:-3], peer], LEARNERS[peer][1]
+            below.errorbar(gain.gain, place, xerr=gain.margin, fmt=MARKERS[peer], ms=12, mew=2,
+                           capsize=4, color=color,
+                           mfc=color if seen[task[:-3], peer] else "white")
         below.axvline(0, color="grey")
-        above.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
-        below.set(xlabel="ours minus peer's", yticks=[], ylim=(3.5, -0.5))
+        curve.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
+        ends.set(title="at the end", xlabel="seeds", xlim=(-0.6, len(finals) - 0.4))
+        limits = [*curve.get_ylim(), *ends.get_ylim()]
+        curve.set_ylim(min(limits), max(limits))
+        ends.set(ylim=curve.get_ylim(), yticklabels=[])
+        ends.set_xticks(range(len(finals)), map(len, finals.values()))
+        below.set(xlabel="ours minus peer's", ylim=(3.5, -0.5))
+        below.set_yticks(range(len(peers)), peers if i == 0 else [])
     panels[0].set_ylabel("mean return")
-    panels[3].set_yticks(range(len(peers)), peers)
-    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    picture.legend(handles=[Line2D([], [], color=color, ls=dashes, lw=3, marker=MARKERS[learner],
+                                   ms=11, label=learner)
+                            for learner, (_, color, dashes) in LEARNERS.items()],
+                   loc="outside lower center", ncols=5)
     return picture
 
 
@@ -108,13 +121,18 @@ def draw_minutes(rows):
             low, middle, high = minutes[change]
             axis.errorbar(middle, finals.mean(), finals.std(), [[middle - low], [high - middle]],
                           fmt=MARKERS[learner], ms=12, color=color, label=learner)
+            if learner != "ours":
+                left = learner == "CleanRL"
+                axis.annotate(f"×{ratios[task, learner]:.1f}", (middle, finals.mean()),
+                              (-9, -20) if left else (9, 5), textcoords="offset points",
+                              ha="right" if left else "left")
         if returns.TASKS[task] == CHEETAH:
             theirs = study.final_rows(rows).set_index(["options", "change"]).loc[LIKE["CleanRL's"]]
             axis.errorbar(theirs["seconds"].median() / 60, theirs["return"].mean(),
                           theirs["return"].std(), fmt="o", ms=12, mfc="white", color="C0",
                           label="ours with CleanRL's settings")
         axis.set(title=task[:-3], xlabel="minutes (log; peers': estimated)", xscale="log",
-                 xticks=[2, 5, 10, 20], xlim=(1.5, 40))
+                 xticks=[2, 5, 10, 20], xlim=(1.5, 55))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.minorticks_off()
     panels[0].set_ylabel("return after a million steps")
@@ -204,7 +222,7 @@ def draw(rows):
     drawn = [different for line, different in zip(lines, holds) if f"{line[0]}-v5" in BEST]
     picture.suptitle(
         f"{title_of(lines, holds)}; the other {drawn.count(False)} differences are undecided\n"
-        "above: means of 5 or 10 seeds; below: differences at the end, 95% (filled: significant)")
+        "below: 95% intervals, uncorrected (filled: significant after correction)")
     pages.save(picture, "ppo_race")
     return {"race": returns_table(lines, holds, f"left out: {compare.spread(stood)}"),
             "differences": differences_table(lines, marked),
