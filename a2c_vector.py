@@ -10,7 +10,7 @@
 
 The first command trains three agents side by side to land on the moon, and leaves logs, agents and
 a figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
-which random actions earn, to about 250; from 200 on the task counts as solved.
+which random actions earn, to about 250; 200 counts as solved.
 
 At every step the agent observes a state s, draws an action a from its policy π(a|s), and gets a
 reward r and the next state, until the episode ends. We want a high *return*, the sum of all rewards
@@ -19,7 +19,7 @@ of an episode. Two neural networks learn:
     the actor   π(a|s)   which of a few actions to take, as probabilities
     the critic  V(s)     what to expect from s on if we follow π: the mean *reward to go*
                          r_t + γ·r_{t+1} + γ²·r_{t+2} + …, where γ < 1, as later rewards owe
-                         less to this action and mostly add noise
+                         less to what happens at t, and mostly add noise
 
 Without V an episode must end before we know what followed each action. In A2C [1] V stands in for
 the rewards still to come, so the networks can learn every T steps, in mid-episode. An update:
@@ -38,9 +38,9 @@ the rewards still to come, so the networks can learn every T steps, in mid-episo
 
 Why N environments? T steps in a row are much alike; N environments tell N different stories, so the
 gradient is less noisy, and one call of the networks serves N states. But an update uses T·N steps,
-so with the same total, a larger N means fewer updates. (`make_envs` says when processes pay.)
+so with the same total, a larger N means fewer updates. (When processes pay off: see `make_envs`.)
 
-Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are usual details.
+Steps 1, 3 and 6, standardised A, the initial weights and clipped gradients are standard tricks.
 `--randomize` gives each episode physics of its own (`RandomPhysics`).
 
 In the code: s obs, a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
@@ -189,14 +189,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is the mean of that. Then δ_t alone is right on
-    average, and later δ, with mean 0, only add noise: any λ is right, 0 the best. But V is learned,
-    and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
+    and later δ, with mean 0, only add noise: any λ is right, 0 the best. But a learned V errs, and
+    a larger λ lets in less of its error, but more noise:
         λ = 0      A_t = δ_t: little noise, but all of V's error
-        λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
+        λ = 1      all V in between cancel. With n terms, A_t = r_t + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
                    last V is 0, and this is REINFORCE with the baseline V
-        otherwise  in between: δ_{t+k} has λ^k of the weight that it has for λ = 1
+        otherwise  in between: δ_{t+k} counts λ^k times as much as for λ = 1
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -222,16 +222,16 @@ def policy_loss(log_probs, advantages):
 
     as, given s_t and a_t, A_t has nearly the same mean as the bracket and far less noise (nearly,
     since it discounts, and relies on V). The mean in the loss only rescales the gradient. The
-    actions must come from π as it is now, so a rollout serves for one gradient step. (Older π,
-    little different, led to the states in which it begins.)
+    actions must come from π as it is now, so a rollout serves for one gradient step. (Its first
+    states came from a slightly older π.)
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout. Returns metrics."""
-    # Mean 0 (the mean is nearly a baseline, like V) and standard deviation 1, so that c and the
-    # actor's clipping suit rewards of any size.
+    # Mean 0 (one more baseline) and standard deviation 1, so that c and the actor's clipping suit
+    # rewards of any size.
     standardised = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), standardised)
@@ -257,9 +257,10 @@ def make_envs(args, seed, count, vectorization="sync", autoreset_mode="NextStep"
         sync     N·step
         async    N·step/cores + N·message        roughly, if all steps take equally long
 
-    Only idle cores count, and at most N. On our machine a message there and back takes 0.04 ms, so
-    async pays if step·(1 − 1/cores) > 0.04 ms: with two cores, from 0.08 ms a step on. A step of
-    LunarLander takes 0.03 ms, too little. For your own environment run both, and compare `seconds`.
+    Count only idle cores, at most N. On our machine a message there and back takes 0.04 ms, so
+    async pays off if step·(1 − 1/cores) > 0.04 ms: with two cores, from 0.08 ms per step. A step of
+    LunarLander takes 0.03 ms, too little. For your own environment run both, with `--num-evals 1`,
+    and compare `seconds`.
 
     Evaluations are always sync: `evaluate` seeds the global generators of this process (np.random,
     …), so an environment that draws from them must live in it. Train such an environment sync, too:
@@ -271,7 +272,7 @@ def make_envs(args, seed, count, vectorization="sync", autoreset_mode="NextStep"
     `envs.reset` with a mask: N rows come back, those outside the mask as they were. Evaluation only
     counts first episodes, so there NextStep does no harm and takes less code.
     """
-    make_repeatable(seed)  # what environments draw when they are made is repeated, too
+    make_repeatable(seed)  # so that what environments draw when made is repeatable
     wrappers = [Tidy, gym.wrappers.RecordEpisodeStatistics]
     if args.randomize:
         wrappers.append(RandomPhysics)
@@ -300,14 +301,14 @@ class RandomPhysics(gym.Wrapper):
         as usual            249 ± 17      199 ± 28
         with --randomize    219 ± 50      190 ± 42
 
-    Here it does not pay: on random moons nothing is gained, on the usual one perhaps 30 are lost.
-    It may pay where the real world is farther from the simulator. `policy_loss` still holds, as φ
+    Here it does not pay off: on random moons nothing is gained, on the usual one perhaps 30 lost.
+    It may where the real world is farther from the simulator. `policy_loss` still holds, as φ
     is drawn with s_0; but V does not see φ either, so A is noisier, and, as it relies on V, biased.
 
     For another environment, put its name in place of LunarLander in `__init__`, and its physics in
-    place of the moon's five lines in `reset`: before the environment's own reset, which may build
-    the world from them. Draw from ranges as wide as your doubts (this moon allows a gravity between
-    −12 and 0, and recommends these winds). Often only the environment's `__init__` checks such
+    place of the moon's five lines in `reset`. Set it before the environment's own reset, which may
+    build the world from it. Draw from ranges as wide as your doubts (LunarLander allows a gravity
+    from −12 to 0, and recommends these winds). Often only the environment's `__init__` checks such
     numbers and derives others from them: check your ranges, derive the others again. For CartPole:
 
         cart = self.unwrapped
@@ -336,7 +337,13 @@ class RandomPhysics(gym.Wrapper):
 
 
 def train(index, args, folder):
-    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
+    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`.
+
+    The log has a row for each update: `env_step` and `seconds` so far; `return`, the mean of the
+    training episodes that ended in it, if any did; the metrics of `optimise` (`entropy` is at most
+    the log of the number of actions); and after some updates `eval_return`. As evaluations play
+    the likeliest actions, they may at first score far worse than training.
+    """
     # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
@@ -371,8 +378,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0 no
-            # better than a constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0
+            # like a constant, below 0 worse. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -396,7 +403,7 @@ def parse_args(argv=None, known=None):
     parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
-    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="seeds, one agent each")
     add("--total-steps", type=in_range(int, 1), default=1_000_000, help="steps per agent, at least")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
@@ -441,7 +448,7 @@ def make_seeds(seed, stream, count):
 
 def make_repeatable(seed):
     """Seed all global generators, and compute in one thread."""
-    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such small nets
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
@@ -449,7 +456,7 @@ def make_repeatable(seed):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some environments draw from their spaces, and some classes share these among all environments.
+    Some environments draw from their spaces, and some classes share them among all environments.
     Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
@@ -487,7 +494,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
+        returns += np.where(playing, rewards, 0)  # finished ones play on, but no longer count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break
@@ -525,7 +532,7 @@ def watch(path):
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps per frame
-            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs store tens
 
             def film_step(step):
                 if step % every == 0 and step < 200 * every:
@@ -566,7 +573,7 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        # A trial: what fails here, fails in one line.
+        # A trial: errors here get a one-line message.
         with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:

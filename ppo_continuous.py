@@ -21,26 +21,26 @@ action a from its policy π(a|s), and gets a reward r, until the episode ends. W
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
 With γ a little below 1, rewards more than some 3/(1−γ) steps away hardly count: they usually owe
-little to the action at t. The *advantage* A of an action is by how much the mean of G exceeds V(s)
-if we take it in s and then follow π. A *rollout* of recorded steps gives noisy estimates: G − V(s).
+little to the action at t. The *advantage* A of an action is how far the mean of G exceeds V(s) if
+we take it in s, then follow π. A *rollout* of recorded steps gives noisy estimates, like G − V(s).
 Actions with A > 0 become more likely, those with A < 0 less. Simpler algorithms, like A2C, take one
-gradient step on a rollout; PPO [1] takes many, so as to learn more. But a rollout only shows what
+gradient step on a rollout; PPO [1] takes many, to get more out of it. But a rollout only shows what
 its own policy, π_old, did, so π must stay near π_old. One update:
 
-  1. Anneal, linearly: the learning rate to 0; σ, the noise that tries things out, from 0.6 to 0.2.
+  1. Anneal, linearly: the learning rate to 0; σ, the exploration noise, from 0.6 to 0.2.
   2. Collect a rollout: T steps in each of N environments.
   3. Scale the rewards, so that what V has to predict has a similar spread in every task.
-  4. Estimate the advantages A (GAE [2]). A + V(s) then estimates G: the target for V.
-  5. Go through the rollout several times, in minibatches. On each, take a gradient step on
+  4. Estimate the advantages A (GAE [2]). A + V(s) then estimates the mean of G: the target for V.
+  5. Go through the rollout several times, in minibatches. On each, measure how far π has moved: if
+     KL(π_old ‖ π) exceeds max_kl, go on to 6. Otherwise take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
-     Before each step measure, on the minibatch, how far π has moved: once KL(π_old ‖ π) is above
-     max_kl, go on to 6.
   6. Update the statistics that normalise observations. Start again at 1.
 
 PPO itself is 2, 4, and the minibatches and loss of 5. The rest is usual [4], except σ's schedule,
-tanh, and when KL is checked. Left out: entropy bonus; clipping of rewards, gradients, value loss.
+tanh on actions, and a KL check before each step. Left out: an entropy bonus; clipping of rewards,
+gradients and value loss.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -135,7 +135,7 @@ class RunningStatistics(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is customary
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -144,7 +144,7 @@ def mlp(inputs, hidden, outputs, last_gain):
 def squash(actions, space):
     """Map unbounded actions (N, K) into the bounds of the action space.
 
-    This is the environment's business: PPO sees the action a as drawn, and its density π(a|s).
+    This counts as part of the environment: PPO sees the action a as drawn, and its density π(a|s).
     (The squashed action's density has one more factor, the same in π and π_old, so ρ is the same.)
     """
     share = (np.tanh(actions) + 1) / 2
@@ -193,7 +193,7 @@ def scale_rewards(rewards, done, past_rewards, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    V predicts the discounted sum of later rewards. F is that of past ones: known by now, and
+    V predicts the discounted sum of later rewards. F is that of past ones: already known, and
     usually spread about as much. While F does not vary, rewards stay as they are. `past_rewards`
     is the F to start from, (N,) or 0. Returns the scaled rewards, and the F to go on from.
     """
@@ -217,14 +217,14 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         truncated       V(s_{t+1}) stands for what would have followed without a time limit [3]
         end of rollout  V(s_{t+1}) stands for the rest of the episode
 
-    Why may V stand for what follows? An exact V is the mean of that. Then δ_t alone is right on
-    average, and later δ, with mean 0, only add noise: any λ is right, 0 the best. But V is learned,
-    and errs: a larger λ takes less of its error, but more noise. If the sum has n terms,
+    Why may V stand for what follows? An exact V is its mean. Then δ_t alone is right on average,
+    and later δ, with mean 0, only add noise: any λ is right, 0 the best. But a learned V errs, and
+    a larger λ lets in less of its error, but more noise:
         λ = 0      A_t = δ_t: little noise, but all of V's error
-        λ = 1      all V in between cancel: A_t = r_t + γ·r_{t+1} + … + γ^n·V(s_{t+n}) − V(s_t),
+        λ = 1      all V in between cancel. With n terms, A_t = r_t + … + γ^n·V(s_{t+n}) − V(s_t),
                    with less of V's error, but more noise. If the episode terminates there, its
                    last V is 0, and this is REINFORCE with the baseline V
-        otherwise  in between: δ_{t+k} has λ^k of the weight that it has for λ = 1
+        otherwise  in between: δ_{t+k} counts λ^k times as much as for λ = 1
     """
     advantages = rewards + gamma * next_values * ~terminated - values  # at first only δ
     for t in reversed(range(len(advantages) - 1)):
@@ -260,8 +260,9 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. Gradient steps on all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    Returns metrics of the last minibatch; clip_fraction counts every ρ outside 1 ± ε, also those
-    that keep their gradient. As π and π_old are Gaussians with the same σ,
+    Returns metrics of the last minibatch. Its `kl` may be above max_kl, as the step before is not
+    undone; `clip_fraction` counts every ρ outside 1 ± ε, also those that keep their gradient. As π
+    and π_old are Gaussians with the same σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
@@ -278,7 +279,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            # Standardised: one scale in all tasks, and less noise, as the mean acts as a baseline.
+            # Standardised: one scale in all tasks; the mean is one more baseline.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
@@ -290,7 +291,12 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
 
 def train(index, args, folder):
-    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
+    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`.
+
+    The log has a row for each update: `env_step` and `seconds` so far; `return`, the mean of the
+    training episodes that ended in it, if any did; the metrics of `optimise`; and after some
+    updates `eval_return`, without noise, so usually higher.
+    """
     # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
@@ -331,8 +337,8 @@ def train(index, args, folder):
             # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
             agent.obs_stats.update(batch.obs)
 
-            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0 no
-            # better than a constant. If targets hardly vary, it says nothing.
+            # How well V predicted its targets (target − V = A), up to a constant: 1 perfectly, 0
+            # like a constant, below 0 worse. If targets hardly vary, it says nothing.
             metrics["explained_variance"] = 1 - (advantages.var() / targets.var()).item()
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -356,7 +362,7 @@ def parse_args(argv=None, known=None):
     parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
-    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="seeds, one agent each")
     add("--total-steps", type=in_range(int, 1), default=150_000, help="steps per agent, at least")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
@@ -372,8 +378,8 @@ def parse_args(argv=None, known=None):
     add("--gae-lambda", type=in_range(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
     add("--clip-eps", type=in_range(float, 0), default=0.2, help="clips the ratio at 1 +- this")
     add("--max-kl", type=in_range(float, 0), default=0.03, help="KL that ends the gradient steps")
-    add("--first-std", type=in_range(float, 1e-4), default=0.6, help="sigma at first, before tanh")
-    add("--last-std", type=in_range(float, 1e-4), default=0.2, help="sigma at last, before tanh")
+    add("--first-std", type=in_range(float, 1e-4), default=0.6, help="initial sigma, before tanh")
+    add("--last-std", type=in_range(float, 1e-4), default=0.2, help="final sigma, before tanh")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)
 
@@ -402,14 +408,14 @@ def make_seeds(seed, stream, count):
 
 def make_repeatable(seed):
     """Seed all global generators, and compute in one thread."""
-    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such small nets
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
 def make_envs(args, seed, count, autoreset_mode="NextStep", **kwargs):
     """A vector of `count` environments. "NextStep": they reset themselves; else `rollout` does."""
-    make_repeatable(seed)  # what environments draw when they are made is repeated, too
+    make_repeatable(seed)  # so that what environments draw when made is repeatable
     envs = gym.make_vec(
         args.env_id, count, "sync", wrappers=[Tidy, gym.wrappers.RecordEpisodeStatistics],
         vector_kwargs={"autoreset_mode": autoreset_mode}, **kwargs)
@@ -427,7 +433,7 @@ def make_envs(args, seed, count, autoreset_mode="NextStep", **kwargs):
 class Tidy(gym.Wrapper):
     """An environment with an empty `info`, rewards that are numbers, and spaces of its own.
 
-    Some environments draw from their spaces, and some classes share these among all environments.
+    Some environments draw from their spaces, and some classes share them among all environments.
     Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
@@ -465,7 +471,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
+        returns += np.where(playing, rewards, 0)  # finished ones play on, but no longer count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break
@@ -503,7 +509,7 @@ def watch(path):
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps per frame
-            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs store tens
 
             def film_step(step):
                 if step % every == 0 and step < 200 * every:
@@ -544,7 +550,7 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        # A trial: what fails here, fails in one line.
+        # A trial: errors here get a one-line message.
         with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:

@@ -10,7 +10,7 @@
 
 The first command trains three agents side by side to balance a pole on a cart, and leaves logs,
 agents and a figure in a new folder in runs/. In a good run the return climbs within a minute to
-1000, the most that an episode can earn; uniformly random actions earn 5.
+1000, the most that an episode can earn; uniformly random actions earn about 5.
 
 At every step the agent observes a state s (here four numbers: where the cart is, how the pole
 leans, how fast both move) and draws an action a (a force on the cart) from its policy π(a|s). The
@@ -32,7 +32,7 @@ more likely.
          --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
   4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
      those with A < 0 less likely (`policy_loss` says why). The critic takes one on
-     ½·mean((V(s) − G)²), which is least if V(s) is the average of G after s.
+     ½·mean((V(s) − G)²), which is smallest when V(s) is the average of G after s.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
 That is REINFORCE [1, 2]. The rest are details that help: Adam with a learning rate that falls to 0,
@@ -100,7 +100,7 @@ class Agent(nn.Module):
 def mlp(inputs, hidden, outputs, last_gain):
     """Two hidden layers, orthogonal weights; a small `last_gain` starts π alike in all states."""
     layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(hidden, outputs)]
-    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2: by custom
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, last_gain)):  # √2 is customary
         nn.init.orthogonal_(layer.weight, gain)
         nn.init.zeros_(layer.bias)
     return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
@@ -171,19 +171,19 @@ def policy_loss(log_probs, advantages):
     number b(s_t). Such terms leave the mean as it is and change only the noise. So we drop the
     earlier rewards, which add noise, and subtract b(s_t), which removes some: if b ≈ V, bad actions
     get a negative factor, while without it positive rewards push up every action that was tried.
-    (Better ones are pushed more, and win, because probabilities sum to 1, but with more noise.)
+    (Better ones are pushed more, and win, because densities integrate to 1, but with more noise.)
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    A counts as a constant (V is detached), so −A·log π has the gradient −A·∇log π: a step down the
-    loss is, on average, nearly a step up the mean return. Nearly, as the loss differs in four ways:
-      - a mean over the batch's steps, not a sum over an episode: nearly a rescaling, which Adam
-        undoes;
+    A only weights ∇log π, as r(a) did above, so no gradient flows through it: V is detached. Then
+    −A·log π has the gradient −A·∇log π: a step down the loss is, on average, nearly a step up the
+    mean return. Nearly, as Adam rescales each weight's step, and the loss differs in four ways:
+      - a mean over the batch's steps, not a sum over an episode: nearly a rescaling;
       - γ < 1 counts late rewards less: some bias, less noise. [2], which maximises E[G_0], also
         multiplies by γ^t; we leave this out, because late steps would hardly count;
       - b = mean(G) contains G_t, so it is not quite fixed before a_t;
       - V(s_T) adds rewards beyond a time limit, which the return does not count.
-    The value of this loss says nothing about progress, and need not fall: only its gradient counts.
+    The value of this loss says nothing of progress, and need not fall: only its gradient matters.
     """
     return -(advantages * log_probs).mean()
 
@@ -210,14 +210,19 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
 
 
 def train(index, args, folder):
-    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`."""
+    """Train the agent of `args.seed[index]`; leave its log and its weights in `folder`.
+
+    The log has a row for each update: `env_step` and `seconds` so far; `return`, the mean of the
+    batch's episodes; the metrics of `optimise` (`policy_std` is the mean standard deviation of π);
+    and after some updates `eval_return`, without noise.
+    """
     # If one seed fails, the others get SIGTERM: handle it like Ctrl-C, and close environments.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     seed = args.seed[index]
     with (closing(make_envs(args, seed, args.eval_episodes)) as eval_envs,
           closing(make_envs(args, seed, 1)) as envs,
           tqdm(total=args.total_steps, disable=index > 0) as bar):
-        (env,) = envs.envs  # without the vector around it, as `play` resets it itself
+        (env,) = envs.envs  # without the vector around it: `play` does the resetting
         make_repeatable(seed)  # the initial weights, and all that follows
         agent = Agent(env.observation_space, env.action_space, args.hidden_size)
         optimizer = torch.optim.Adam(agent.parameters(), args.learning_rate, fused=True)  # faster
@@ -257,7 +262,7 @@ def parse_args(argv=None, known=None):
     parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
-    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="random seeds, an agent each")
+    add("--seed", type=in_range(int, 0), nargs="+", default=[1], help="seeds, one agent each")
     add("--total-steps", type=in_range(int, 1), default=100_000, help="steps per agent, at least")
     add("--env-id", default="InvertedPendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
@@ -296,14 +301,14 @@ def make_seeds(seed, stream, count):
 
 def make_repeatable(seed):
     """Seed all global generators, and compute in one thread."""
-    torch.set_num_threads(1)  # more would round differently, and gain nothing in such networks
+    torch.set_num_threads(1)  # more would round differently, and gain nothing in such small nets
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 
 
 def make_envs(args, seed, count, **kwargs):
-    """A vector of `count` environments, which reset themselves, and all have a time limit."""
-    make_repeatable(seed)  # what environments draw when they are made is repeated, too
+    """A vector of `count` self-resetting environments with a time limit."""
+    make_repeatable(seed)  # so that what environments draw when made is repeatable
     envs = gym.make_vec(args.env_id, count, "sync", **kwargs, wrappers=[
         lambda env: gym.wrappers.TimeLimit(env, env.spec.max_episode_steps or 1000), Tidy])
     obs_space, space = envs.single_observation_space, envs.single_action_space
@@ -318,7 +323,7 @@ def make_envs(args, seed, count, **kwargs):
 class Tidy(gym.Wrapper):
     """An environment that clips actions, insists on finite numbers, drops infos, owns its spaces.
 
-    Some environments draw from their spaces, and some classes share these among all environments.
+    Some environments draw from their spaces, and some classes share them among all environments.
     Seeding a shared one in an evaluation would disturb training, so here each gets a copy.
     """
 
@@ -362,7 +367,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
     for step in range(envs.spec.max_episode_steps or 1000):
         before_step(step)
         obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-        returns += np.where(playing, rewards, 0)  # those that are done play on, but do not count
+        returns += np.where(playing, rewards, 0)  # finished ones play on, but no longer count
         playing &= ~(terminated | truncated)
         if not playing.any():
             break
@@ -400,7 +405,7 @@ def watch(path):
               imageio.imopen(path.with_suffix(".gif"), "w", plugin="pillow") as film):
             fps = envs.metadata.get("render_fps") or 20
             every = max(1, fps // 25)  # steps per frame
-            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs know tens only
+            duration = round(1000 * every / fps, -1)  # in milliseconds; GIFs store tens
 
             def film_step(step):
                 if step % every == 0 and step < 200 * every:
@@ -441,7 +446,7 @@ def main():
     name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
     folder = Path(args.out_dir).expanduser() / name.replace(":", "-").replace("/", "-")
     try:
-        # A trial: what fails here, fails in one line.
+        # A trial: errors here get a one-line message.
         with closing(make_envs(args, args.seed[0], 1)) as envs:
             folder.mkdir(parents=True)
     except (gym.error.Error, ImportError, TypeError, ValueError, OSError) as error:
