@@ -31,7 +31,7 @@ more likely.
          --baseline mean    b_t = the mean of G over the batch
          --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
   4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
-     those with A < 0 less likely (`policy_loss` says why). The critic takes one on
+     those with A < 0 less likely (`policy_loss` says why). The critic takes ten on
      ½·mean((V(s) − G)²), which is smallest when V(s) is the average of G after s.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
@@ -188,19 +188,23 @@ def policy_loss(log_probs, advantages):
     return -(advantages * log_probs).mean()
 
 
-def optimise(agent, optimizer, obs, actions, rewards_to_go, baseline):
+def optimise(agent, optimizer, obs, actions, rewards_to_go, *, baseline, critic_steps):
     """3 and 4, on the B steps of a batch. Returns metrics."""
-    values = agent.value(obs)
-    # Detached, as the actor's loss must not train the critic.
-    advantages = compute_advantages(rewards_to_go, values.detach(), baseline)
+    values = agent.value(obs).detach()  # as the actor's loss must not train the critic
+    advantages = compute_advantages(rewards_to_go, values, baseline)
     policy = agent.policy(obs)  # as while playing, but now with gradients
     log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: log densities add
-    loss_pi = policy_loss(log_probs, advantages)
-    loss_v = ((values - rewards_to_go) ** 2).mean() / 2
     optimizer.zero_grad()
-    (loss_pi + loss_v).backward()  # the networks share no weights, so each follows its own loss
+    policy_loss(log_probs, advantages).backward()
     optimizer.step()
-    # 1: V predicts G perfectly, up to a constant; 0 or less: no better than a constant.
+    # The actor now needs new episodes, but the critic may go on fitting G. With one step a batch V
+    # would still be only half of the mean of G at the end of a default run.
+    for _ in range(critic_steps):
+        optimizer.zero_grad()  # to None, so Adam leaves the actor as it is
+        loss_v = ((agent.value(obs) - rewards_to_go) ** 2).mean() / 2
+        loss_v.backward()
+        optimizer.step()
+    # 1: V predicted G perfectly, up to a constant; 0 or less: no better than a constant.
     explained_variance = 1 - (rewards_to_go - values).var() / rewards_to_go.var()
     return {"value_loss": loss_v.item(), "explained_variance": explained_variance.item(),
             "policy_std": policy.stddev.mean().item()}
@@ -236,9 +240,10 @@ def train(index, args, folder):
             # 2. Compute the rewards to go.
             rewards_to_go = [compute_rewards_to_go(r, last_value, args.gamma)
                              for r, last_value in zip(rewards, last_values)]
-            # 3 and 4. Subtract the baseline, take a gradient step.
+            # 3 and 4. Subtract the baseline, take gradient steps.
             metrics = optimise(agent, optimizer, torch.cat(obs), torch.cat(actions),
-                               torch.cat(rewards_to_go), args.baseline)
+                               torch.cat(rewards_to_go), baseline=args.baseline,
+                               critic_steps=args.critic_steps)
 
             weights = nn.utils.parameters_to_vector(agent.parameters())
             check_finite("a weight (is --learning-rate too large?)", weights.detach())
@@ -271,6 +276,7 @@ def parse_args(argv=None, known=None):
     add("--eval-episodes", type=in_range(int, 1), default=20, help="episodes of an evaluation")
     add("--batch-episodes", type=in_range(int, 1), default=4, help="episodes of a batch")
     add("--baseline", choices=("none", "mean", "value"), default="value", help="subtracted from G")
+    add("--critic-steps", type=in_range(int, 1), default=10, help="critic's steps on a batch")
     add("--learning-rate", type=in_range(float, 0), default=3e-3, help="falls linearly to 0")
     add("--gamma", type=in_range(float, 0, 1), default=0.98, help="discount factor")
     add("--hidden-size", type=in_range(int, 1), default=64, help="units of each hidden layer")

@@ -12,7 +12,8 @@ EVERYWHERE = {"seed": [1], "watch": None, "out_dir": "runs", "num_evals": 20, "h
 DEFAULTS = {
     "reinforce_mujoco": {
         "env_id": "InvertedPendulum-v5", "total_steps": 100_000, "eval_episodes": 20,
-        "batch_episodes": 4, "baseline": "value", "learning_rate": 3e-3, "gamma": 0.98},
+        "batch_episodes": 4, "baseline": "value", "critic_steps": 10, "learning_rate": 3e-3,
+        "gamma": 0.98},
     "a2c_vector": {
         "env_id": "LunarLander-v3", "total_steps": 1_000_000, "eval_episodes": 20, "num_envs": 8,
         "vectorization": "sync", "randomize": False, "rollout_steps": 64, "reward_scale": 0.1,

@@ -29,7 +29,7 @@ ALL = ("--seed 7 --total-steps 100 --num-evals 3 --eval-episodes 5 --hidden-size
 SLOW = f"{ALL} --env-id test_wiring:Slow-v0"
 VECTOR = "--num-envs 4 --rollout-steps 6 --gae-lambda 0.617"
 ODD = {  # no two numbers are alike, and none is the default
-    "reinforce_mujoco": f"{SLOW} --batch-episodes 2 --baseline mean",
+    "reinforce_mujoco": f"{SLOW} --batch-episodes 2 --baseline mean --critic-steps 3",
     "a2c_vector": f"{ALL} {VECTOR} --env-id LunarLander-v3 --vectorization async --randomize"
                   " --reward-scale 0.37 --entropy-coef 0.019 --max-grad-norm 0.0041",
     "ppo_continuous": f"{SLOW} {VECTOR} --epochs 2 --minibatch-size 9 --clip-eps 0.0043"
@@ -149,6 +149,7 @@ CHECKS = {
     "num_envs": lambda x: {call.rewards.shape[1] for call in x.compute_gae} == {4},
     "rollout_steps": lambda x: {call.rewards.shape[0] for call in x.compute_gae} == {6},
     "batch_episodes": lambda x: len(x.play) == 2 * len(x.optimise),
+    "critic_steps": lambda x: {call.critic_steps for call in x.optimise} == {3},
     "baseline": lambda x: {call.baseline for call in x.compute_advantages} == {"mean"},
     "vectorization": lambda x: (
         {type(call.envs.unwrapped) for call in x.rollout} == {AsyncVectorEnv}
