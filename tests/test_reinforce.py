@@ -113,7 +113,10 @@ def test_each_row_keeps_its_own_action_and_reward():
 
 
 def test_every_episode_starts_differently_also_those_of_other_seeds(monkeypatch):
-    seen = spy(monkeypatch, rf, "optimise", lambda agent, _, obs, *__: obs[obs[:, 1] == 0, 0])
+    def look(agent, optimizer, obs, *_, **__):
+        return obs[obs[:, 1] == 0, 0]
+
+    seen = spy(monkeypatch, rf, "optimise", look)
     for seed in 1, 2:
         train(monkeypatch, rf, "--env-id", "ThreeSteps-v0", "--total-steps", 30, "--seed", seed)
     starts = torch.cat(seen)
