@@ -74,14 +74,16 @@ def task_line(task, rows):
 
 
 def script_line(script, runs, typed, slower):
-    """`typed` and `slower`: runs of the plain command, on our machine and on a slower one."""
+    """`typed` and `slower`: runs of the plain command, on an EPYC and on a slower Xeon."""
     _, args = study.load(Job(script))
     threshold = gym.spec(args.env_id).reward_threshold
     returned = runs["return"]
-    here, elsewhere = (number(x["seconds"].median()) for x in (typed, slower))
+    here, elsewhere = (f"{x['seconds'].median():.0f} s" for x in (typed, slower))
+    if typed["processor"].iloc[0] == slower["processor"].iloc[0]:
+        here = "–"  # this script has not been measured on the faster one
     return [f"`{script}`", args.env_id, compare.spread(returned), number(returned.min()),
             f"{sum(returned >= threshold)} of {len(returned)} ≥ {threshold:,g}",
-            f"{args.total_steps:,}: {here} s ({elsewhere} s)"]
+            f"{args.total_steps:,}: {here} ({elsewhere})"]
 
 
 def draw(rows):
