@@ -110,6 +110,13 @@ def of_the_ablation():
            f"significantly worse on a task, {better} better")
 
 
+def of_baselines():
+    ends = study.final_rows(study.read("baselines").query("options.str.startswith('--baseline')"))
+    unsolved = ends[ends["return"] < 950]
+    assert set(unsolved["options"]) == {"--baseline none"}
+    yield f"all runs are solved but {len(unsolved)} of 10 with `none`"
+
+
 def of_peers():
     speeds = study.read("speed").query("script == @variants.PPO").pivot(
         index=["options", "change", "seed"], columns="learner", values="speed")
@@ -205,6 +212,7 @@ def later_trials():
 def claims():
     yield from of_runs()
     yield from of_the_ablation()
+    yield from of_baselines()
     yield from of_peers()
     yield from of_cheetahs()
     yield from of_others_settings()
