@@ -31,7 +31,7 @@ more likely.
          --baseline mean    b_t = the mean of G over the batch
          --baseline value   b_t = V(s_t), the prediction of G_t by a second network, the critic
   4. Take a gradient step on  −mean(A·log π(a|s)),  which makes actions with A > 0 more likely and
-     those with A < 0 less likely (`policy_loss` says why). The critic takes ten on
+     those with A < 0 less likely (`policy_loss` says why). The critic takes ten steps on
      ½·mean((V(s) − G)²), which is smallest when V(s) is the average of G after s.
   5. Throw the batch away, because it shows what the old π did. Start again at 1.
 
@@ -175,7 +175,7 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = E[Σ_t (r_t + r_{t+1} + … − b(s_t))·∇log π(a_t|s_t)]
 
-    A only weights ∇log π, as r(a) did above, so no gradient flows through it: V is detached. Then
+    Like r(a) above, A is a mere factor: V is detached, so no gradient flows through it. Then
     −A·log π has the gradient −A·∇log π: a step down the loss is, on average, nearly a step up the
     mean return. Nearly, as Adam rescales each weight's step, and the loss differs in four ways:
       - a mean over the batch's steps, not a sum over an episode: nearly a rescaling;
@@ -189,18 +189,21 @@ def policy_loss(log_probs, advantages):
 
 
 def optimise(agent, optimizer, obs, actions, rewards_to_go, *, baseline, critic_steps):
-    """3 and 4, on the B steps of a batch. Returns metrics."""
-    values = agent.value(obs).detach()  # as the actor's loss must not train the critic
+    """3 and 4, on the B steps of a batch.
+
+    Returns metrics: `value_loss` is that of the last critic step, the others are from before.
+    """
+    values = agent.value(obs).detach()  # a constant for the actor, and not yet fitted to this G
     advantages = compute_advantages(rewards_to_go, values, baseline)
     policy = agent.policy(obs)  # as while playing, but now with gradients
     log_probs = policy.log_prob(actions).sum(-1)  # K independent numbers: log densities add
     optimizer.zero_grad()
     policy_loss(log_probs, advantages).backward()
     optimizer.step()
-    # The actor now needs new episodes, but the critic may go on fitting G. With one step a batch V
-    # would still be only half of the mean of G at the end of a default run.
+    # The actor's next step needs actions of the new π, but the critic may go on: any V(s_t) is a
+    # fair baseline for later batches. With one step a batch V ends default runs at half of mean G.
     for _ in range(critic_steps):
-        optimizer.zero_grad()  # to None, so Adam leaves the actor as it is
+        optimizer.zero_grad()  # all are None, so Adam skips the actor
         loss_v = ((agent.value(obs) - rewards_to_go) ** 2).mean() / 2
         loss_v.backward()
         optimizer.step()
