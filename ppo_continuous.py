@@ -408,7 +408,7 @@ def make_seeds(seed, stream, count):
 
 def make_repeatable(seed):
     """Seed all global generators, and compute in one thread."""
-    torch.set_num_threads(1)  # more would round differently, and gain nothing in such small nets
+    torch.set_num_threads(1)  # more would round differently, and not be faster here
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 

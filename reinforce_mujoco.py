@@ -201,7 +201,7 @@ def optimise(agent, optimizer, obs, actions, rewards_to_go, *, baseline, critic_
     policy_loss(log_probs, advantages).backward()
     optimizer.step()
     # The actor's next step needs actions of the new π, but the critic may go on: any V(s_t) is a
-    # fair baseline for later batches. With one step a batch V ends default runs at half of mean G.
+    # fair baseline for later batches. With `--critic-steps 1` V ends at half of the mean of G.
     for _ in range(critic_steps):
         optimizer.zero_grad()  # all are None, so Adam skips the actor
         loss_v = ((agent.value(obs) - rewards_to_go) ** 2).mean() / 2
@@ -310,7 +310,7 @@ def make_seeds(seed, stream, count):
 
 def make_repeatable(seed):
     """Seed all global generators, and compute in one thread."""
-    torch.set_num_threads(1)  # more would round differently, and gain nothing in such small nets
+    torch.set_num_threads(1)  # more would round differently, and not be faster here
     for set_seed in torch.manual_seed, np.random.seed, random.seed:
         set_seed(make_seeds(seed, stream=0, count=1)[0])
 

@@ -72,8 +72,8 @@ def draw_gains(details, order, tasks):
     assert (found["gain"] < 0).all()  # as the title says
     names = ", ".join(change for change in order if change in set(found["change"]))
     low, high = (compare.number(-x) for x in (found["gain"].max(), found["gain"].min()))
-    picture.suptitle(f"{names}:\neach costs PPO {low} to {high}% on a task; "
-                     "no change helps significantly")
+    picture.suptitle(f"Changes that cost PPO {low} to {high}% on a task "
+                     f"(none helps significantly):\n{names}")
     picture.supxlabel("filled: significant after correction; hollow: undecided,\n"
                       "even where the 95% interval of the eight pairs leaves out 0", fontsize=14)
     pages.save(picture, "ablation")

@@ -68,8 +68,9 @@ def slowness_of(task):
 def draw_steps(rows, lines, holds):
     """Above: means against steps, and the runs at the end. Below: ours minus each peer's."""
     picture, panels = pages.figure(15, 9.5, 2, 6, width_ratios=3 * (3, 2), height_ratios=(3, 2))
-    peers, seen = list(LEARNERS)[1:], dict(zip(zip(*list(zip(*lines))[:2]), holds))
-    gains = {line[:2]: line[-1] for line in lines}
+    peers = list(LEARNERS)[1:]
+    gains = {(task, peer): gain for task, peer, *_, gain in lines}
+    significant = dict(zip(gains, holds))
     for i, task in enumerate(BEST):
         curve, ends, below, spare = panels[[2 * i, 2 * i + 1, 2 * i + 6, 2 * i + 7]]
         spare.remove()
@@ -89,7 +90,7 @@ def draw_steps(rows, lines, holds):
             gain, color = gains[task[:-3], peer], LEARNERS[peer][1]
             below.errorbar(gain.gain, place, xerr=gain.margin, fmt=MARKERS[peer], ms=12, mew=2,
                            capsize=4, color=color,
-                           mfc=color if seen[task[:-3], peer] else "white")
+                           mfc=color if significant[task[:-3], peer] else "white")
         below.axvline(0, color="grey")
         curve.set(title=task[:-3], xlabel="million steps", xticks=[0, 0.5, 1])
         ends.set(title="at the end", xlabel="seeds", xlim=(-0.6, len(finals) - 0.4))
