@@ -36,10 +36,10 @@ still to come, so the agent can learn every T steps, in mid-episode. One update:
      undecided; its bonus keeps π from settling on one action before it has tried the others.
   6. Update the statistics that normalise observations. Start again at 1, with a new rollout.
 
-N environments (`make_envs`) are in N different situations, so the gradient is less noisy. One call
-of a network serves all. But the same number of steps allows fewer updates. `--randomize` draws
-random moons (`RandomPhysics`). A2C itself is 2, 4 with λ = 1, and 5 without standardising A; the
-rest are common additions.
+N environments (`make_envs`) are in N different situations, so the gradient is less noisy, and one
+call of a network serves them all; but the same number of steps allows fewer updates. `--randomize`
+draws random moons (`RandomPhysics`). A2C itself is 2, 4 with λ = 1, and 5 without standardising A;
+the rest are common additions. `--env-id` takes other tasks; `mlp` makes the networks.
 
 In the code: s obs (D numbers), a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep RL, arXiv 1602.01783: A3C; A2C is synchronous.
@@ -94,7 +94,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension; at first 0 and 1."""
+    """Mean and variance of all rows so far, for each dimension; before the first, 0 and 1."""
 
     def __init__(self, *shape):
         super().__init__()
@@ -103,7 +103,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 for a constant, whose variance is only rounding."""
+        """The standard deviation; 1 for a constant, whose variance is nothing but rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -147,13 +147,12 @@ class Transitions(NamedTuple):
 
 
 def rollout(envs, agent, obs, earned, num_steps):
-    """2. T steps of each environment, from observations `obs` (N, D) on.
+    """2. T steps of each environment, from `obs` (N, D) on; its episode has `earned` (N,) so far.
 
     `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
     different steps; `envs.reset` restarts those in its mask, but only after the transition is
     stored, so `next_obs` is what really followed the action, never the start of another episode.
-    `earned` (N,) is what the running episodes have earned so far. Returns Transitions, `obs` and
-    `earned` to go on from, and the returns of the episodes that ended.
+    Returns Transitions; `obs` and `earned` to go on from; and the returns of episodes that ended.
     """
     steps, returns = [], []
     for _ in range(num_steps):
@@ -267,14 +266,13 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
 class RandomPhysics(gym.Wrapper):
     """`--randomize`: domain randomization [4]. Each episode has a gravity and a wind of its own.
 
-    An agent is often meant for a world that we know only roughly, say a robot that is trained in a
+    An agent is often meant for a world that we know only roughly: a robot, say, is trained in a
     simulator. If it has learned to act in many worlds, it may cope with the real one, too. It does
-    not see which world was drawn, so one policy has to do for all. Here such agents did no better
-    on random moons than ordinary ones, and perhaps 30 points worse on the usual moon.
+    not see which world was drawn, so one policy has to do for all. Evaluations draw worlds, too.
 
     For another environment change the check in `make_envs` and what `reset` sets, and recompute
-    what depends on it. CartPole: draw `length`, then set `polemass_length = masspole * length`;
-    after a mass `total_mass`, too.
+    what depends on it. In CartPole, say, draw `length` and `masspole`, and then set
+    `polemass_length = masspole * length` and `total_mass = masspole + masscart`.
     """
 
     def reset(self, *, seed=None, options=None):
@@ -298,7 +296,7 @@ def train(index, args, folder):
     training episodes that ended in it, if any did; the metrics of `optimise`; and sometimes
     `eval_return`, of the likeliest actions, which may be far lower early on.
     """
-    seed, log = args.seed[index], []
+    seed, folder, log = args.seed[index], Path(folder), []
     torch.set_num_threads(1)  # more would round differently, and not be faster here
     torch.manual_seed(seed)
     envs = make_envs(args, args.num_envs, args.vectorization, "Disabled")
@@ -335,8 +333,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. A spread below a
-        # tenth of their mean counts as a tenth: beside none at all even a good V would look bad.
+        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. If they are all
+        # alike, even a good V would look bad, so at least a tenth of their mean counts as spread.
         variance = torch.maximum(targets.var(correction=0), (targets.mean() / 10) ** 2)
         metrics["explained_variance"] = 1 - (advantages.square().mean() / variance).item()
         log.append({"env_step": update * steps, "seconds": time.perf_counter() - start,
@@ -361,37 +359,37 @@ def parse_args(argv=None, known=None):
     parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=1_000_000, help="steps per agent, at least")
+    add("--seed", type=bounded(int, 0), nargs="+", default=[1], help="seeds, one agent each")
+    add("--total-steps", type=bounded(int, 1), default=1_000_000, help="steps per agent, at least")
     add("--env-id", default="LunarLander-v3", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after a first one")
-    add("--eval-episodes", type=number(int, 1), default=20, help="episodes of an evaluation")
-    add("--num-envs", type=number(int, 1), default=8, help="environments stepped together")
+    add("--num-evals", type=bounded(int, 1), default=20, help="evaluations after a first one")
+    add("--eval-episodes", type=bounded(int, 1), default=20, help="episodes of an evaluation")
+    add("--num-envs", type=bounded(int, 1), default=8, help="environments stepped together")
     add("--vectorization", choices=("sync", "async"), default="sync", help="async: a process each")
     add("--randomize", action=argparse.BooleanOptionalAction, default=False, help="random moons")
-    add("--rollout-steps", type=number(int, 1), default=64, help="steps per environment")
-    add("--reward-scale", type=number(float, 0), default=0.1, help="multiplies rewards")
-    add("--learning-rate", type=number(float, 0), default=2e-3, help="falls linearly to 0")
-    add("--gamma", type=number(float, 0, 1), default=0.999, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
-    add("--entropy-coef", type=number(float, 0), default=0.01, help="falls linearly to 0")
-    add("--max-grad-norm", type=number(float, 0), default=0.5, help="limit for each network")
-    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
+    add("--rollout-steps", type=bounded(int, 1), default=64, help="steps per environment")
+    add("--reward-scale", type=bounded(float, 0), default=0.1, help="multiplies rewards")
+    add("--learning-rate", type=bounded(float, 0), default=2e-3, help="falls linearly to 0")
+    add("--gamma", type=bounded(float, 0, 1), default=0.999, help="discount factor")
+    add("--gae-lambda", type=bounded(float, 0, 1), default=0.98, help="0 trusts V, 1 the rewards")
+    add("--entropy-coef", type=bounded(float, 0), default=0.01, help="falls linearly to 0")
+    add("--max-grad-norm", type=bounded(float, 0), default=0.5, help="limit for each network")
+    add("--hidden-size", type=bounded(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)  # values in `known` replace the defaults
 
 
-def number(kind, low, high=1e12):
+def bounded(kind, low, high=1e12):
     """An argparse type: an int (also written 1e6) or float from `low` to `high`."""
 
-    def in_range(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} from {low} to {high:g}")
         return kind(value)
 
-    return in_range
+    return number
 
 
 def evaluate(agent, envs, seed, before_step=lambda step: None):
@@ -428,23 +426,23 @@ def watch(path, argv=()):
 
     print("return:", evaluate(agent, envs, args.seed[0], film))
     envs.close()
-    imageio.imwrite(path.with_suffix(".gif"), frames, duration=1000 * every / fps, loop=0)
+    imageio.imwrite(Path(path).with_suffix(".gif"), frames, duration=1000 * every / fps, loop=0)
 
 
 def plot(folder):
     """Draw learning_curve.png: on top returns, pale those of training; below, the metrics."""
-    logs = [pd.read_csv(file).assign(seed=file.stem) for file in sorted(folder.glob("*.csv"))]
-    log = pd.concat(logs, ignore_index=True)
+    files = sorted(Path(folder).glob("seed-*.csv"))
+    log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     metrics = log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"])
     figure = Figure(figsize=(12, 8), layout="constrained")
     axes = figure.subplot_mosaic([["return"] * len(metrics), list(metrics)], height_ratios=(3, 1))
     for name in "return", "eval_return", *metrics:
-        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None,
-                     ax=axes.get(name, axes["return"]), legend=name == "eval_return",
-                     alpha=0.4 if name == "return" else 1.0)
-    axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
-    axes["explained_variance"].set_ylim(-1, 1)
-    figure.savefig(folder / "learning_curve.png")
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, marker=".", mew=0,
+                     ax=axes.get(name, axes["return"]), alpha=0.4 if name == "return" else 1.0,
+                     legend=name == "eval_return" and len(files) <= 10)
+    axes["return"].set(title=Path(folder).name, ylabel="return (pale: in training)")
+    axes["explained_variance"].set_ylim(-1, 1.05)
+    figure.savefig(Path(folder, "learning_curve.png"))
     print(folder, log.groupby("seed")[["env_step", "eval_return"]].last(), sep="\n")
 
 
@@ -452,13 +450,13 @@ def main():
     sys.path.append(os.getcwd())  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
-        return watch(args.watch, sys.argv[1:])
+        return watch(args.watch.absolute(), sys.argv[1:])
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-")).absolute()
     try:
         make_envs(args, 1).close()  # a trial: a wrong name gets a line, not a traceback
     except (gym.error.Error, ImportError) as error:
         sys.exit(f"--env-id {args.env_id}: {error}")
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-")).absolute()
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
@@ -467,7 +465,7 @@ def main():
     finally:  # also after Ctrl-C
         for process in torch.multiprocessing.active_children():
             process.terminate()
-        if any(folder.glob("*.csv")):
+        if any(folder.glob("seed-*.csv")):
             plot(folder)
 
 

@@ -17,15 +17,15 @@ policy π(a|s), and gets a reward r, until the episode ends. We want a high *ret
 rewards of an episode. Two neural networks learn:
 
     the actor   π(a|s) = Normal(μ(s), σ²)   which actions to take; it learns μ, and we set σ
-    the critic  V(s)                        the mean, if π acts from s on, of the *reward to go*
+    the critic  V(s)                        the mean *reward to go* if π acts from s on:
                                             G_t = r_t + γ·r_{t+1} + γ²·r_{t+2} + …
 
-γ makes distant rewards count less: with 0.99, one 100 steps away counts 0.37, one 300 away 0.05.
-The *advantage* A of an action is the mean of G if we take it now and then follow π, minus V(s). A
-*rollout* of recorded steps gives noisy estimates, like G − V(s). Actions that did better than the
-others become more likely, the rest less. REINFORCE and A2C take one gradient step on a rollout; PPO
-[1] takes many, to get more out of it. But a rollout only shows what its own policy, π_old, did, so
-π must stay near π_old. One update:
+γ makes distant rewards count less: with 0.99, one 100 steps away counts 0.37. The *advantage* A of
+an action is the mean of G if we take it now and then follow π, minus V(s). A *rollout* of recorded
+steps gives noisy estimates of it. Actions that did better than the others become more likely, the
+rest less. REINFORCE and A2C take one gradient step on a rollout; PPO [1] takes many, to get more
+out of it. But a rollout only shows what its own policy, π_old, did, so π must stay near π_old.
+One update:
 
   1. Anneal: the learning rate falls to 0, and σ from 0.6 to 0.2: explore widely first, then settle.
   2. Collect a rollout: T steps in each of N environments.
@@ -36,14 +36,14 @@ others become more likely, the rest less. REINFORCE and A2C take one gradient st
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
-     Before each step measure how far π has moved: once KL(π_old ‖ π) exceeds max_kl, end step 5.
+     Before each step measure how far π has moved: once KL(π_old ‖ π) exceeds max_kl, go on to 6.
   6. Update the statistics that normalise observations: last, as a change between 2 and 5 would move
      π without any gradient. Start again at 1.
 
 PPO itself is 2, 4, and the minibatches and loss of 5. The rest is mostly as in [4], but there σ is
 learned, actions are clipped, time limits count as deaths, and KL is not limited. Left out: clipping
-of rewards, gradients and value loss; an entropy bonus, which favours a wide π: it would have no
-gradient, as we set σ.
+of rewards, gradients and value loss; an entropy bonus, which rewards a wide π (here its gradient is
+0, as we set σ). `--env-id` takes other tasks; `mlp` makes the networks.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -101,7 +101,7 @@ class Agent(nn.Module):
 
 
 class RunningStatistics(nn.Module):
-    """Mean and variance of all rows seen so far, for each dimension; at first 0 and 1."""
+    """Mean and variance of all rows so far, for each dimension; before the first, 0 and 1."""
 
     def __init__(self, *shape):
         super().__init__()
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation, or 1 for a constant, whose variance is only rounding."""
+        """The standard deviation; 1 for a constant, whose variance is nothing but rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -165,13 +165,12 @@ class Transitions(NamedTuple):
 
 
 def rollout(envs, agent, obs, earned, num_steps):
-    """2. T steps of each environment, from observations `obs` (N, D) on.
+    """2. T steps of each environment, from `obs` (N, D) on; its episode has `earned` (N,) so far.
 
     `envs.step` takes N actions and returns arrays with a row for each environment. Episodes end at
     different steps; `envs.reset` restarts those in its mask, but only after the transition is
     stored, so `next_obs` is what really followed the action, never the start of another episode.
-    `earned` (N,) is what the running episodes have earned so far. Returns Transitions, `obs` and
-    `earned` to go on from, and the returns of the episodes that ended.
+    Returns Transitions; `obs` and `earned` to go on from; and the returns of episodes that ended.
     """
     steps, returns = [], []
     for _ in range(num_steps):
@@ -245,17 +244,16 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    The states are π_old's, too, which is nearly right while π is near π_old. At ρ = 1, where an
-    update starts, the gradient of E[ρ·A] is E[A·∇log π], as in REINFORCE and A2C, because ∇ρ =
-    ρ·∇log π. Farther away the estimate gets worse, so a sample drops out once ρ has gone far enough
-    in the direction of A:
+    The states are π_old's, too, which is nearly right while π is near π_old. As ∇ρ = ρ·∇log π, the
+    gradient at ρ = 1, where an update starts, is E[A·∇log π], as in REINFORCE and A2C. Farther away
+    the estimate gets worse, so a sample drops out once ρ has gone far enough in A's direction:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
         A < 0       (1−ε)·A: no gradient   ρ·A: lower ρ       ρ·A: lower ρ
 
     Where ρ has gone the wrong way, the gradient stays, to lead it back. The clip only removes
-    gradients, it does not hold π: one step may jump past 1 ± ε, Adam's momentum carries on, and
+    gradients. It does not hold π: one step may jump past 1 ± ε, Adam's momentum carries on, and
     other samples move the same weights. Hence max_kl.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
@@ -265,20 +263,21 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. Gradient steps on all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    Returns metrics of the last minibatch. Its `kl` may be above max_kl, as the step before is not
-    undone; `clip_fraction` counts every ρ outside 1 ± ε, also those that keep their gradient. As π
-    and π_old are Gaussians with the same σ,
+    A KL above max_kl ends them all, the critic's too. Returns metrics of the last minibatch: `kl`
+    may be above max_kl, as the step before is not undone; `clip_fraction` counts every ρ outside
+    1 ± ε, also those that keep their gradient. As π and π_old are Gaussians with the same σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
-    and averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4.
+    averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4. If you
+    let σ learn, this formula no longer holds: use torch.distributions.kl_divergence.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):
             obs, actions, old_means, old_log_probs, A, targets = (x[rows] for x in samples)
             policy = agent.policy(obs)
             ratio = (policy.log_prob(actions).sum(-1) - old_log_probs).exp()
-            kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2  # equal σ only
+            kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2
             loss_v = ((agent.value(obs) - targets) ** 2).mean() / 2
             metrics = {"value_loss": loss_v.item(), "kl": kl.item(),
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
@@ -302,7 +301,7 @@ def train(index, args, folder):
     training episodes that ended in it, if any did; the metrics of `optimise`; and after some
     updates `eval_return`, without noise, so usually higher.
     """
-    seed, log = args.seed[index], []
+    seed, folder, log = args.seed[index], Path(folder), []
     torch.set_num_threads(1)  # more would round differently, and not be faster here
     torch.manual_seed(seed)
     envs = make_envs(args, args.num_envs, "Disabled")
@@ -343,8 +342,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. A spread below a
-        # tenth of their mean counts as a tenth: beside none at all even a good V would look bad.
+        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. If they are all
+        # alike, even a good V would look bad, so at least a tenth of their mean counts as spread.
         variance = torch.maximum(targets.var(correction=0), (targets.mean() / 10) ** 2)
         metrics["explained_variance"] = 1 - (advantages.square().mean() / variance).item()
         log.append({"env_step": update * steps, "seconds": time.perf_counter() - start,
@@ -369,38 +368,38 @@ def parse_args(argv=None, known=None):
     parser = argparse.ArgumentParser(formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.error = lambda message: sys.exit(f"{message} (see --help)")
     add = parser.add_argument
-    add("--seed", type=number(int, 0), nargs="+", default=[1], help="seeds, one agent each")
-    add("--total-steps", type=number(int, 1), default=150_000, help="steps per agent, at least")
+    add("--seed", type=bounded(int, 0), nargs="+", default=[1], help="seeds, one agent each")
+    add("--total-steps", type=bounded(int, 1), default=150_000, help="steps per agent, at least")
     add("--env-id", default="InvertedDoublePendulum-v5", help="Gymnasium id or my_module:MyEnv-v0")
     add("--watch", type=Path, metavar="AGENT.pt", help="do not train, but film this agent")
     add("--out-dir", default="runs", help="where the folder of this run is created")
-    add("--num-evals", type=number(int, 1), default=20, help="evaluations after a first one")
-    add("--eval-episodes", type=number(int, 1), default=10, help="episodes of an evaluation")
-    add("--num-envs", type=number(int, 1), default=16, help="environments stepped together")
-    add("--rollout-steps", type=number(int, 1), default=128, help="steps per environment")
-    add("--epochs", type=number(int, 1), default=10, help="passes over a rollout, at most")
-    add("--minibatch-size", type=number(int, 2), default=512, help="samples in a minibatch")
-    add("--learning-rate", type=number(float, 0), default=1e-3, help="falls linearly to 0")
-    add("--gamma", type=number(float, 0, 1), default=0.99, help="discount factor")
-    add("--gae-lambda", type=number(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
-    add("--clip-eps", type=number(float, 0), default=0.2, help="clips the ratio at 1 +- this")
-    add("--max-kl", type=number(float, 0), default=0.03, help="KL that ends the gradient steps")
-    add("--first-std", type=number(float, 1e-4), default=0.6, help="initial sigma, before tanh")
-    add("--last-std", type=number(float, 1e-4), default=0.2, help="final sigma, before tanh")
-    add("--hidden-size", type=number(int, 1), default=64, help="units of each hidden layer")
+    add("--num-evals", type=bounded(int, 1), default=20, help="evaluations after a first one")
+    add("--eval-episodes", type=bounded(int, 1), default=10, help="episodes of an evaluation")
+    add("--num-envs", type=bounded(int, 1), default=16, help="environments stepped together")
+    add("--rollout-steps", type=bounded(int, 1), default=128, help="steps per environment")
+    add("--epochs", type=bounded(int, 1), default=10, help="passes over a rollout, at most")
+    add("--minibatch-size", type=bounded(int, 2), default=512, help="samples in a minibatch")
+    add("--learning-rate", type=bounded(float, 0), default=1e-3, help="falls linearly to 0")
+    add("--gamma", type=bounded(float, 0, 1), default=0.99, help="discount factor")
+    add("--gae-lambda", type=bounded(float, 0, 1), default=0.95, help="0 trusts V, 1 the rewards")
+    add("--clip-eps", type=bounded(float, 0), default=0.2, help="clips the ratio at 1 +- this")
+    add("--max-kl", type=bounded(float, 0), default=0.03, help="KL that ends the gradient steps")
+    add("--first-std", type=bounded(float, 1e-4), default=0.6, help="initial sigma, before tanh")
+    add("--last-std", type=bounded(float, 1e-4), default=0.2, help="final sigma, before tanh")
+    add("--hidden-size", type=bounded(int, 1), default=64, help="units of each hidden layer")
     return parser.parse_args(argv, known)  # values in `known` replace the defaults
 
 
-def number(kind, low, high=1e12):
+def bounded(kind, low, high=1e12):
     """An argparse type: an int (also written 1e6) or float from `low` to `high`."""
 
-    def in_range(text):
+    def number(text):
         value = float(text)
         if not low <= value <= high or value != kind(value):
             raise argparse.ArgumentTypeError(f"{text}: not {kind.__name__} from {low} to {high:g}")
         return kind(value)
 
-    return in_range
+    return number
 
 
 def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
@@ -448,23 +447,23 @@ def watch(path, argv=()):
 
     print("return:", evaluate(agent, envs, args.seed[0], film))
     envs.close()
-    imageio.imwrite(path.with_suffix(".gif"), frames, duration=1000 * every / fps, loop=0)
+    imageio.imwrite(Path(path).with_suffix(".gif"), frames, duration=1000 * every / fps, loop=0)
 
 
 def plot(folder):
     """Draw learning_curve.png: on top returns, pale those of training; below, the metrics."""
-    logs = [pd.read_csv(file).assign(seed=file.stem) for file in sorted(folder.glob("*.csv"))]
-    log = pd.concat(logs, ignore_index=True)
+    files = sorted(Path(folder).glob("seed-*.csv"))
+    log = pd.concat([pd.read_csv(file).assign(seed=file.stem) for file in files], ignore_index=True)
     metrics = log.columns.drop(["env_step", "seconds", "return", "eval_return", "seed"])
     figure = Figure(figsize=(12, 8), layout="constrained")
     axes = figure.subplot_mosaic([["return"] * len(metrics), list(metrics)], height_ratios=(3, 1))
     for name in "return", "eval_return", *metrics:
-        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None,
-                     ax=axes.get(name, axes["return"]), legend=name == "eval_return",
-                     alpha=0.4 if name == "return" else 1.0)
-    axes["return"].set(title=folder.name, ylabel="return (pale: in training)")
-    axes["explained_variance"].set_ylim(-1, 1)
-    figure.savefig(folder / "learning_curve.png")
+        sns.lineplot(log, x="env_step", y=name, hue="seed", estimator=None, marker=".", mew=0,
+                     ax=axes.get(name, axes["return"]), alpha=0.4 if name == "return" else 1.0,
+                     legend=name == "eval_return" and len(files) <= 10)
+    axes["return"].set(title=Path(folder).name, ylabel="return (pale: in training)")
+    axes["explained_variance"].set_ylim(-1, 1.05)
+    figure.savefig(Path(folder, "learning_curve.png"))
     print(folder, log.groupby("seed")[["env_step", "eval_return"]].last(), sep="\n")
 
 
@@ -472,13 +471,13 @@ def main():
     sys.path.append(os.getcwd())  # `my_module` of --env-id may lie here
     args = parse_args()
     if args.watch:
-        return watch(args.watch, sys.argv[1:])
+        return watch(args.watch.absolute(), sys.argv[1:])
+    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
+    folder = Path(args.out_dir, name.replace(":", "-").replace("/", "-")).absolute()
     try:
         make_envs(args, 1).close()  # a trial: a wrong name gets a line, not a traceback
     except (gym.error.Error, ImportError) as error:
         sys.exit(f"--env-id {args.env_id}: {error}")
-    name = f"{args.env_id}__{Path(__file__).stem}__{pd.Timestamp.now():%Y%m%d_%H%M%S%f}"
-    folder = Path(args.out_dir, name.replace(":", "-")).absolute()
     try:
         if len(args.seed) == 1:
             train(0, args, folder)
@@ -487,7 +486,7 @@ def main():
     finally:  # also after Ctrl-C
         for process in torch.multiprocessing.active_children():
             process.terminate()
-        if any(folder.glob("*.csv")):
+        if any(folder.glob("seed-*.csv")):
             plot(folder)
 
 
