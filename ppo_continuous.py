@@ -408,7 +408,7 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
                         vector_kwargs={"autoreset_mode": autoreset_mode})
     obs_space, space = envs.single_observation_space, envs.single_action_space
     flat = all(isinstance(x, gym.spaces.Box) and len(x.shape) == 1 for x in (obs_space, space))
-    if not (flat and space.dtype.kind == "f" and np.isfinite(space.high - space.low).all()):
+    if not flat or space.dtype.kind != "f" or np.abs([space.low, space.high]).max().item() > 1e30:
         raise gym.error.Error(f"needs flat Boxes, actions bounded floats; has {obs_space}, {space}")
     return gym.wrappers.vector.TransformAction(envs, lambda actions: squash(actions, space))
 

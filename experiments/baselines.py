@@ -25,7 +25,7 @@ def measure(job):
     if not job.options.startswith(NOISE):
         return rows
     module, args = study.load(job)
-    (env,) = module.make_envs(args, job.seed, 1).envs
+    env = module.make_env(args.env_id)
     env.reset(seed=job.seed)
     agent = module.Agent(env.observation_space, env.action_space, args.hidden_size)
     agent.load_state_dict(weights)
@@ -48,7 +48,7 @@ def play(module, args, env, agent):
 
 def gradient(module, agent, baseline, obs, actions, rewards_to_go):
     advantages = module.compute_advantages(rewards_to_go, agent.value(obs).detach(), baseline)
-    loss = module.policy_loss(agent.policy(obs).log_prob(actions).sum(-1), advantages)
+    loss = module.policy_loss(agent.policy(obs).log_prob(actions).sum(-1), advantages, 1)
     return torch.cat([x.flatten() for x in torch.autograd.grad(loss, agent.actor.parameters())])
 
 

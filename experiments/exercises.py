@@ -43,7 +43,7 @@ def measure(job):
 
 def mean_value(module, args, weights):
     """Of the states in 500 steps of the trained agent."""
-    envs, values = module.make_envs(args, args.seed[0], 1), []
+    envs, values = module.make_envs(args, 1), []
     agent = module.Agent(envs.single_observation_space, envs.single_action_space, args.hidden_size)
     agent.load_state_dict(weights)
     obs, _ = envs.reset(seed=1)

@@ -74,7 +74,7 @@ def speed(args, setting, options):
 
 def stepping_speed(module, args):
     """Of our environments without a learner, with actions drawn beforehand."""
-    envs = module.make_envs(args, args.seed[0], args.num_envs, autoreset_mode="Disabled")
+    envs = module.make_envs(args, args.num_envs, autoreset_mode="Disabled")
     envs.reset(seed=1)
     actions = [envs.action_space.sample() for _ in range(args.total_steps // args.num_envs)]
     start = time.perf_counter()

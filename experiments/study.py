@@ -50,7 +50,7 @@ def load(job):
     module = ModuleType(job.script.removesuffix(".py"))
     module.__file__ = str(ROOT / job.script)
     exec(compile(variants.changed(job.script, job.change), job.script, "exec"), vars(module))
-    module.tqdm = lambda **_: tqdm(disable=True)  # no bar
+    module.tqdm = lambda *steps, **_: tqdm(*steps, disable=True)  # no bar
     return module, module.parse_args(f"{job.options} --seed {job.seed}".split())
 
 

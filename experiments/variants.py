@@ -15,18 +15,10 @@ REINFORCE, A2C, PPO = "reinforce_mujoco.py", "a2c_vector.py", "ppo_continuous.py
 CHANGES = {
     "advantages-not-standardised": (PPO, [
         ("A = (A - A.mean()) / (A.std(correction=0) + 1e-8)", "A = A")]),
-    "critic-goes-on": (PPO, [
-        ("    for _ in range(epochs):\n",
-         "    actor_learns = True\n    for _ in range(epochs):\n"),
-        ("            if kl > max_kl:\n                return metrics\n",
-         "            actor_learns = actor_learns and kl.item() <= max_kl\n"),
-        ("(policy_loss(ratio, A, clip_eps) + loss_v).backward()",
-         "((policy_loss(ratio, A, clip_eps) if actor_learns else 0) + loss_v).backward()")]),
     "rewards-not-scaled": (PPO, [(
-        "return (rewards / stats.std()).float(), past_rewards",
-        "return rewards.float(), past_rewards")]),
+        "return (rewards / stats.std()).float(), F", "return rewards.float(), F")]),
     "observations-not-normalised": (PPO, [(
-        "            agent.obs_stats.update(batch.obs)\n", "")]),
+        "        agent.obs_stats.update(batch.obs)\n", "")]),
     "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
                        "    share = (actions + 1) / 2\n")]),
     "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
@@ -34,13 +26,13 @@ CHANGES = {
     "sigma-learned": (PPO, [
         ('self.register_buffer("sigma", torch.ones(outputs))',
          'self.log_sigma = nn.Parameter(torch.full((outputs,), 0.6).log())'),
-        ("Normal(mean, self.sigma,", "Normal(mean, self.log_sigma.exp(),"),
+        ("Normal(mean, self.sigma)", "Normal(mean, self.log_sigma.exp())"),
         ("    for _ in range(epochs):\n",
          "    old_sigma = agent.log_sigma.exp().detach()\n    for _ in range(epochs):\n"),
         ("kl = (((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2",
          "old_policy = torch.distributions.Normal(old_means, old_sigma)\n            "
          "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
-        ("            agent.sigma.fill_(remaining * args.first_std + "
+        ("        agent.sigma.fill_(remaining * args.first_std + "
          "(1 - remaining) * args.last_std)\n", "")]),
     "gradients-clipped": (PPO, [(
         "loss_v).backward()  # each trains its own network\n",
@@ -52,12 +44,13 @@ CHANGES = {
     "fault-2": (PPO, [("targets = advantages + values", "targets = advantages")]),
     "fault-3": (PPO, [("return -torch.min(", "return torch.min(")]),
     "blank-rewards-to-go": (REINFORCE, [
-        ("0.0 if terminated else agent.value(all_obs[-1]).item()", "..."),
+        ("0.0 if terminated else agent.value(torch.tensor(np.array(obs))).item()", "..."),
         ("        G = reward + gamma * G\n", "        G = ...\n"),
         ('"none": 0.0, "mean": rewards_to_go.mean(), "value": values',
          '"none": ..., "mean": ..., "value": ...')]),
     "blank-gae": (PPO, [
-        ("rewards + gamma * next_values * ~terminated - values  # at first only δ", "..."),
+        ("    next_values = next_values.masked_fill(terminated, 0)\n", ""),
+        ("rewards + gamma * next_values - values  # at first only δ", "..."),
         ("gamma * gae_lambda * advantages[t + 1] * ~done[t]", "...")]),
     "blank-ratio": (PPO, [
         ("(policy.log_prob(actions).sum(-1) - old_log_probs).exp()", "..."),
@@ -67,7 +60,7 @@ CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradi
                             for pair in CHANGES[name][1]]
 CHANGES["like-cleanrl"] = PPO, [
     *((old, new.replace("0.6", "1.0")) for old, new in CHANGES["like-sb3"][1]),  # the first σ
-    ("args.learning_rate, fused=True)", "args.learning_rate, eps=1e-5, fused=True)")]
+    ("agent.parameters(), fused=True)", "agent.parameters(), eps=1e-5, fused=True)")]
 
 
 def changed(file, name=""):

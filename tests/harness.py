@@ -1,4 +1,4 @@
-"""What the tests share: running a script as a user would, and small worlds with known answers."""
+"""What the tests share: running a script as a user would, watching one, worlds with known answers."""
 
 import copy
 import os
@@ -9,31 +9,24 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pandas as pd
-import torch
 from gymnasium.spaces import Box, Discrete
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = Path(__file__).resolve().parent
 SEED = int(os.environ.get("GENERATOR_SEED", 0))  # of everything drawn; a test holds for any
-
-# --- Running a script -----------------------------------------------------------------------------
 
 # Every warning ends a run, but for deprecations: next year's packages may announce some.
 LATER = "DeprecationWarning", "PendingDeprecationWarning", "FutureWarning"
 STRICT = ["-W", "error", *(x for name in LATER for x in ("-W", f"ignore::{name}"))]
 
 
-def start(script, *arguments, cwd, python=(), own_group=False):
-    """Start `python script.py arguments` in `cwd`, on a machine without a display.
-
-    `own_group`: it and its processes form a process group, as a shell gives them one.
-    """
+def start(script, *arguments, cwd, python=()):
+    """Start `python script.py arguments` in `cwd`, as a group of processes, without a display."""
     hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
     env = {name: value for name, value in os.environ.items() if name not in hidden}
-    env |= {"PYTHONPATH": str(TESTS), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
+    env |= {"PYTHONPATH": str(ROOT / "tests"), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
         [sys.executable, *python, str(ROOT / script), *map(str, arguments)],
-        cwd=cwd, env=env, encoding="utf-8", start_new_session=own_group,
+        cwd=cwd, env=env, encoding="utf-8", start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
@@ -47,14 +40,7 @@ def run(script, *arguments, cwd, status=0, **options):
 
 def read_log(path):
     """The log of a seed, without the column that no seed determines."""
-    return pd.read_csv(path).drop(columns="seconds")
-
-
-def load(path):
-    return torch.load(path, weights_only=True)
-
-
-# --- Watching a training --------------------------------------------------------------------------
+    return pd.read_csv(f"{path}.csv").drop(columns="seconds")
 
 
 def spy(monkeypatch, module, name, keep):
@@ -75,21 +61,12 @@ def spy_rollouts(monkeypatch, module, change=lambda batch: batch):
 
     def spied(envs, agent, *rest):
         player = copy.deepcopy(agent)
-        batch, obs, returns = rollout(envs, agent, *rest)
+        batch, *others = rollout(envs, agent, *rest)
         kept.append((player, change(batch)))
-        return kept[-1][1], obs, returns
+        return kept[-1][1], *others
 
     monkeypatch.setattr(module, "rollout", spied)
     return kept
-
-
-def train(monkeypatch, module, *options):
-    """Train in this process, without evaluations or files; returns the log."""
-    monkeypatch.setattr(module, "evaluate", lambda *_: 0.0)
-    logs = []
-    monkeypatch.setattr(module, "save", lambda path, log, *_: logs.append(pd.DataFrame(log)))
-    module.train(0, module.parse_args(["--seed", str(SEED + 1), *map(str, options)]), Path())
-    return logs[-1]
 
 
 # --- Worlds ---------------------------------------------------------------------------------------
@@ -119,7 +96,6 @@ class World(gym.Env):
 
     def step(self, action):
         assert self.action_space.contains(action), f"{action!r} is out of bounds"
-        assert np.asarray(action).dtype == self.action_space.dtype
         self.steps += 1
         self.total += 1
         return self.observe(), self.reward(action), self.steps == self.length, False, {}

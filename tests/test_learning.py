@@ -30,5 +30,5 @@ register("Sign", Sign, length=1)
 def test_it_finds_the_best_action(script, env_id, options, least, tmp_path):
     """At best 0 (a new agent: −4, in the narrow box −0.8), in Sign 1 (at random: a third)."""
     usual = "--total-steps 8192 --learning-rate 3e-3 --eval-episodes 50"
-    path = script.train(tmp_path, *usual.split(), *options.split(), env_id=env_id)
-    assert read_log(f"{path}.csv")["eval_return"].iloc[-1] > least
+    path = script.train(tmp_path, "--env-id", env_id, *usual.split(), *options.split())
+    assert read_log(path)["eval_return"].iloc[-1] > least

@@ -1,5 +1,6 @@
 """reinforce_mujoco.py: its maths by hand, its policy, its episodes."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,12 +8,11 @@ import pytest
 import torch
 from conftest import SCRIPTS
 from gymnasium.spaces import Box
-from harness import ACTIONS, TARGET, World, register, spy, train
+from harness import ACTIONS, TARGET, World, read_log, register, spy
 
 import reinforce_mujoco as rf
 
-pytestmark = pytest.mark.usefixtures("float64")
-
+SCRIPT = SCRIPTS["reinforce_mujoco"]
 LENGTHS = {"ThreeSteps": 3, "Forever": 8, "BothEnds": 3}
 Rising = type("Rising", (World,), {"reward": lambda self, action: float(self.steps)})
 register("Rising", Rising, limit=3, length=None, actions=Box(-1, 1, (3,)))
@@ -20,10 +20,9 @@ register("Rising", Rising, limit=3, length=None, actions=Box(-1, 1, (3,)))
 
 def make(world="ThreeSteps"):
     """An environment that has been seeded, and an agent for it."""
-    script, env_id = SCRIPTS["reinforce_mujoco"], f"harness:{world}-v0"
-    (env,) = script.envs(env_id, 1).envs
-    env.reset(seed=1)
-    return env, script.agent(env_id)
+    env = rf.make_env(f"harness:{world}-v0")
+    env.reset(seed=torch.randint(2**31, ()).item())
+    return env, SCRIPT.agent(world)
 
 
 @pytest.mark.parametrize("last_value", [0.0, 7.5])
@@ -34,12 +33,32 @@ def test_rewards_to_go_are_the_discounted_rewards_from_a_step_on(gamma, last_val
         sum(gamma ** (k - t) * rewards[k] for k in range(t, 30)) + gamma ** (30 - t) * last_value
         for t in range(30)]
     found = rf.compute_rewards_to_go(rewards, last_value, gamma)
-    assert found.tolist() == pytest.approx(expected)
+    assert found.tolist() == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_mean_gradient_is_that_of_the_mean_return_also_if_actions_decide_how_long_one_plays():
+    """One decision: short, a step that earns 1, or long, ten steps that earn 1.8, π = ½ each.
+
+    Only the first step of an episode has a choice. Of all sixteen batches of four episodes, each as
+    likely, the mean gradient with respect to the probability of long is 1.8 − 1. Divided by their
+    steps it would be below 0.
+    """
+    gradients = []
+    for batch in itertools.product([False, True], repeat=4):
+        p = torch.tensor(0.5, requires_grad=True)
+        log_probs, advantages = [], []
+        for long in batch:
+            log_probs += [(p if long else 1 - p).log(), *[torch.tensor(0.0)] * (9 * long)]
+            advantages += [1.8] * 10 if long else [1.0]
+        loss = rf.policy_loss(torch.stack(log_probs), torch.tensor(advantages), 4)
+        gradients += torch.autograd.grad(-loss, p)
+    assert torch.stack(gradients).mean().item() == pytest.approx(1.8 - 1, rel=1e-5)
 
 
 @pytest.mark.parametrize("baseline", ["none", "mean", "value"])
 @pytest.mark.parametrize("episodes", [1, 2])
-def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline, monkeypatch):
+def test_train_descends_the_gradient_of_the_loss_written_out(
+        episodes, baseline, monkeypatch, tmp_path):
     """With 3 action dimensions, also in a batch of 3 steps, where axes are easily confused.
 
     At learning rate 0 the agent stays what it was, so that all can be computed again afterwards.
@@ -47,19 +66,22 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     """
     steps = []  # gradients, of each
 
-    def look(agent, optimizer, *batch, **_):
+    def look(agent, optimizer, batch, *_, **__):
         if not steps:
             optimizer.register_step_pre_hook(lambda *_: steps.append(
                 [None if p.grad is None else p.grad.clone() for p in agent.parameters()]))
-        return agent, *batch
+        return agent, batch
 
     seen = spy(monkeypatch, rf, "optimise", look)
-    log = train(monkeypatch, rf, "--env-id", "Rising-v0", "--batch-episodes", episodes,
-                "--total-steps", 3 * episodes + 1, "--learning-rate", 0, "--gamma", 0.9,
-                "--baseline", baseline, "--critic-steps", 2)
+    path = SCRIPT.train(
+        tmp_path, "--env-id", "Rising-v0", "--batch-episodes", episodes, "--total-steps",
+        3 * episodes + 1, "--learning-rate", 0, "--gamma", 0.9, "--baseline", baseline,
+        "--critic-steps", 2)
+    log = read_log(path)
     assert log["return"].tolist() == [6, 6]  # two updates, so that a sum of gradients would be seen
     assert len(steps) == 2 * (1 + 2)
-    agent, obs, actions, *_ = seen[-1]
+    agent, batch = seen[-1]
+    obs, actions = (torch.cat([episode[i] for episode in batch]) for i in (0, 1))
     assert actions.shape == (3 * episodes, 3)
     last_value = agent.critic(obs[2::3] + torch.tensor([0, 1])).detach()  # it shows its steps
     G = torch.tensor([1 + 0.9 * (2 + 0.9 * 3), 2 + 0.9 * 3, 3.0])
@@ -71,7 +93,7 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
     std = (1 + outputs[:, 3:].exp()).log() + 0.1
     noise = (actions - outputs[:, :3]) / std
     log_density = (-(noise**2) / 2 - std.log() - math.log(2 * math.pi) / 2).sum(1)
-    loss_pi = -(log_density * advantages).sum() / len(G)
+    loss_pi = -(log_density * advantages).sum() / episodes
     actor, critic = list(agent.actor.parameters()), list(agent.critic.parameters())
     of_actor = [*torch.autograd.grad(loss_pi, actor), *[None] * len(critic)]
     of_critic = [*[None] * len(actor), *torch.autograd.grad(loss_v, critic)]
@@ -80,12 +102,19 @@ def test_train_descends_the_gradient_of_the_loss_written_out(episodes, baseline,
             if y is None:  # no gradient at all, so that Adam's momentum does not move it, either
                 assert x is None
             else:
-                torch.testing.assert_close(x, y)
+                torch.testing.assert_close(x, y, rtol=1e-3, atol=1e-5)
                 assert y.abs().max() > 1e-4
-    unexplained = (G - values - (G - values).mean()).square().sum()
-    expected = {"value_loss": loss_v.item(), "policy_std": std.mean().item(),
-                "explained_variance": 1 - (unexplained / (G - G.mean()).square().sum()).item()}
-    assert dict(log.iloc[-1][list(expected)]) == pytest.approx(expected)
+    expected = {"value_loss": loss_v.item(), "policy_std": std.mean().item()}
+    assert dict(log.iloc[-1][list(expected)]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_explained_variance_is_that_of_the_critic_before_it_was_fitted(monkeypatch, tmp_path):
+    """It is near 1 only where V is near G: at half of G, as an early V may be, it is far below."""
+    values = spy(monkeypatch, rf, "compute_advantages", lambda G, V, _: (G, V.clone()))
+    log = read_log(SCRIPT.train(tmp_path, "--env-id", "harness:Forever-v0", "--total-steps", 2000))
+    found = [1 - ((G - V) ** 2).mean() / max(G.var(correction=0), G.mean() ** 2 / 100)
+             for G, V in values]
+    np.testing.assert_allclose(log["explained_variance"], torch.stack(found), rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("world", LENGTHS)
@@ -99,25 +128,22 @@ def test_an_episode_is_made_of_real_steps_and_only_a_time_limit_is_bootstrapped(
         (start,) = obs[:, 0].unique().tolist()
         assert rewards == [1.0] * length
         expected = agent.critic(torch.tensor([start, length])).item()
-        assert last_value == pytest.approx(expected if world == "Forever" else 0, rel=1e-5)
+        assert last_value == pytest.approx(expected if world == "Forever" else 0, rel=1e-4)
 
 
 def test_each_row_keeps_its_own_action_and_reward():
     """The action that is learned from, before clipping, is the one that earned the reward."""
     episodes = [rf.play(*make("Target")) for _ in range(50)]
-    actions = torch.cat([x[1] for x in episodes]).numpy()
+    actions = torch.cat([x.actions for x in episodes]).numpy()
     env_actions = actions.clip(ACTIONS.low, ACTIONS.high)
     assert (actions != env_actions).any(1).sum() > 10
     expected = -np.square(env_actions - TARGET).sum(1)
-    np.testing.assert_allclose([rewards[0] for _, _, rewards, _ in episodes], expected, rtol=1e-5)
+    np.testing.assert_allclose([x.rewards[0] for x in episodes], expected, rtol=1e-4)
 
 
-def test_every_episode_starts_differently_also_those_of_other_seeds(monkeypatch):
-    def look(agent, optimizer, obs, *_, **__):
-        return obs[obs[:, 1] == 0, 0]
-
-    seen = spy(monkeypatch, rf, "optimise", look)
+def test_every_episode_starts_differently_also_those_of_other_seeds(monkeypatch, tmp_path):
+    seen = spy(monkeypatch, rf, "optimise", lambda agent, optimizer, batch, *_, **__: (
+        [episode.obs[0, 0].item() for episode in batch]))
     for seed in 1, 2:
-        train(monkeypatch, rf, "--env-id", "ThreeSteps-v0", "--total-steps", 30, "--seed", seed)
-    starts = torch.cat(seen)
-    assert len(starts.unique()) == len(starts) == 2 * 12
+        SCRIPT.train(tmp_path, "--env-id", "ThreeSteps-v0", "--total-steps", 48, seed=seed)
+    assert len(set(sum(seen, []))) == 2 * 16

@@ -5,21 +5,22 @@ import pytest
 import torch
 from conftest import both
 from gymnasium.utils.seeding import np_random
-from harness import ACTIONS, SEED, spy_rollouts, train
+from harness import ACTIONS, SEED, read_log, spy_rollouts
 
 
 def play(script, name):
-    envs = script.envs(script.world(name), 4, autoreset_mode="Disabled")
-    obs, _ = envs.reset(seed=script.module.make_seeds(SEED, 2, 4))
-    agent = script.agent(script.world(name))
-    return envs, *script.module.rollout(envs, agent, obs, 25)
+    args = script.args("--env-id", script.world(name))
+    envs = script.module.make_envs(args, 4, autoreset_mode="Disabled")
+    obs, _ = envs.reset(seed=SEED)
+    agent = script.agent(name)
+    return envs, *script.module.rollout(envs, agent, obs, 0.0, 25)
 
 
 @both
 @pytest.mark.parametrize("name", ["ThreeSteps", "Forever", "BothEnds", "Uneven"])
 def test_every_row_is_a_real_transition(script, name):
     """The world shows (episode, steps since its start): what each row must look like is known."""
-    envs, batch, last_obs, returns = play(script, name)
+    envs, batch, last_obs, earned, returns = play(script, name)
     obs, next_obs, done = batch.obs, batch.next_obs, batch.done
     length = torch.where(obs[..., 0] > 0, 7, 3) if name == "Uneven" else 3
     length = 8 if name == "Forever" else length
@@ -38,6 +39,8 @@ def test_every_row_is_a_real_transition(script, name):
     ends = [batch.rewards[t + 1 - int(next_obs[t, n, 1]):t + 1, n].sum().item()
             for t, n in done.nonzero().tolist()]
     assert returns == pytest.approx(ends, rel=1e-5)  # in the order in which episodes ended
+    running = [batch.rewards[25 - int(last_obs[n, 1]):, n].sum().item() for n in range(4)]
+    assert earned.tolist() == pytest.approx(running, rel=1e-5)
 
 
 @both
@@ -54,12 +57,12 @@ def test_the_stored_actions_are_those_that_were_executed(script):
 
 @both
 def test_every_environment_has_its_own_seed_and_every_episode_counts_once_with_its_raw_return(
-        script, monkeypatch):
+        script, monkeypatch, tmp_path):
     """5 steps in 4 environments at a time: some episodes span two rollouts; NaN where none ends."""
     rollouts = spy_rollouts(monkeypatch, script.module)
-    log = train(monkeypatch, script.module, "--env-id", script.world("Forever"), "--num-envs", 4,
-                "--rollout-steps", 5, "--total-steps", 80, "--seed", SEED)
-    starts = [np_random(seed)[0].uniform(-1, 1) for seed in script.module.make_seeds(SEED, 2, 4)]
+    log = read_log(script.train(tmp_path, "--env-id", script.world("Forever"), "--rollout-steps", 5,
+                                "--total-steps", 80))
+    starts = [np_random(1000 * (SEED + 3) + i)[0].uniform(-1, 1) for i in range(4)]
     assert rollouts[0][1].obs[0, :, 0].tolist() == pytest.approx(starts)
     assert torch.equal(rollouts[0][1].next_obs[-1], rollouts[1][1].obs[0])  # which goes on
     assert log["env_step"].tolist() == [20, 40, 60, 80]
