@@ -9,8 +9,8 @@
     python a2c_vector.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first command trains three agents side by side to land on the moon, and leaves logs, agents and
-a figure in a new folder in runs/. In a good run the return climbs within three minutes from −180,
-which random actions earn, to about 250; 200 counts as solved.
+a figure in a new folder in runs/. In a good run the return, evaluated without noise, climbs within
+three minutes to about 250; 200 counts as solved, and random actions earn −180.
 
 At every step the agent observes the state s of its environment (here: where the lander is and how
 it moves), draws an action a from its policy π(a|s), and gets a reward r, until the episode ends. We
@@ -27,19 +27,19 @@ still to come, so the agent can learn every T steps, in mid-episode. One update:
   1. Anneal, linearly to 0: the learning rate, and the weight c of the entropy bonus in 5.
   2. Collect a rollout: T steps in each of N environments (--rollout-steps, --num-envs).
   3. Multiply the rewards by 0.1: in each step Adam moves a weight by about the learning rate,
-     however large the gradient, so V would need many steps to reach targets of hundreds. The actor
-     does not care: its A is standardised.
+     however large the gradient, so V would lag behind targets of hundreds. The actor does not care:
+     its A is standardised.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates the mean of G: the target for V.
   5. Take one gradient step, on the whole rollout, on
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)      with A standardised
-     Actions with A > 0 become more likely, the others less. The entropy is high while π is
-     undecided; its bonus keeps π from settling on one action before it has tried the others.
+     Actions that did better than the others become more likely, the rest less. The entropy is high
+     while π is undecided: its bonus keeps π from settling on one action before it tried the others.
   6. Update the statistics that normalise observations. Start again at 1, with a new rollout.
 
 N environments (`make_envs`) are in N different situations, so the gradient is less noisy, and one
 call of a network serves them all; but the same number of steps allows fewer updates. `--randomize`
 draws random moons (`RandomPhysics`). A2C itself is 2, 4 with λ = 1, and 5 without standardising A;
-the rest are common additions. `--env-id` takes other tasks; `mlp` makes the networks.
+the rest are common variants. `--env-id` takes other tasks; `mlp` makes the networks.
 
 In the code: s obs (D numbers), a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep RL, arXiv 1602.01783: A3C; A2C is synchronous.
@@ -103,7 +103,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation; 1 for a constant, whose variance is nothing but rounding."""
+        """The standard deviation; 1 for a constant, whose variance is 0 but for rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -154,23 +154,23 @@ def rollout(envs, agent, obs, earned, num_steps):
     stored, so `next_obs` is what really followed the action, never the start of another episode.
     Returns Transitions; `obs` and `earned` to go on from; and the returns of episodes that ended.
     """
-    steps, returns = [], []
+    rows, returns = [], []
     for _ in range(num_steps):
         actions = agent.act(obs)
         next_obs, rewards, terminated, truncated, _ = envs.step(actions)
         done = terminated | truncated
-        steps.append((obs, actions, rewards, next_obs, terminated, done))
+        rows.append((obs, actions, rewards, next_obs, terminated, done))
         obs, earned = next_obs, earned + rewards
         if done.any():
             returns += earned[done].tolist()
             earned[done] = 0
             obs, _ = envs.reset(options={"reset_mask": done})
-    columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
+    columns = (torch.tensor(np.stack(column)) for column in zip(*rows))
     return Transitions(*columns), obs, earned, returns
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
-    """4. Generalised advantage estimation; all (T, N) ([2] eq. 11 and 16).
+    """4. Generalised advantage estimation: returns A; all are (T, N) ([2] eq. 11 and 16).
 
         δ_t = r_t + γ·V(s_{t+1}) − V(s_t)               how much better one step was than expected
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
@@ -185,12 +185,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         terminated     δ = 0.6, 0.6, −3     A = 0.26, −0.75, −3
         truncated      δ = 0.6, 0.6, 0.6    A = 0.99, 0.87, 0.6
 
-    Why sum several δ? If V were exact, δ_t would be right on average: r_t + γ·V(s_{t+1}) is what
-    we got and may now expect, V(s_t) what we expected. Later δ have mean 0, and only add noise. But
-    a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t. With λ = 1 the V in between cancel:
-    A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where time or the rollout ends: rewards
-    that were really earned, with all their noise. In between, δ_{t+k} counts λ^k times as much as
-    for λ = 1: less error than with λ = 0, less noise than with λ = 1.
+    Why sum several δ? If V were exact, the mean of δ_t would be the advantage of a_t: r_t +
+    γ·V(s_{t+1}) is what we got and may still expect, V(s_t) what we expected before. Later δ would
+    have mean 0, and only add noise. But a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t.
+    With λ = 1 the V in between cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where
+    time or the rollout ends: rewards that were really earned, with all their noise. In between,
+    δ_{t+k} counts λ^k times as much as for λ = 1: less error than λ = 0, less noise than λ = 1.
     """
     next_values = next_values.masked_fill(terminated, 0)
     advantages = rewards + gamma * next_values - values  # at first only δ
@@ -204,20 +204,21 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = Σ_τ return·∇p(τ) = E[return·Σ_t ∇log π(a_t|s_t)]        as ∇p = p·∇log p
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]     less noise: see below
-                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]                              A_t estimates (…)
+                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]                A_t estimates (…), with V and γ < 1
 
     Of the probability p(τ) of an episode, only the factors π(a_t|s_t) depend on the weights. In s_t
     the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0. It stays 0 when multiplied by
     what is fixed before a_t is drawn. So we may drop earlier rewards and subtract V(s_t).
 
     E is over actions of π as it is now. After one step π is another, and the rollout is outdated.
+    (Here a mean over steps is as good as a sum: their number, T·N, does not depend on the actions.)
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout: all (T, N), and `obs` (T, N, D). Returns metrics."""
-    # Standardised, so that c and max_grad_norm suit any rewards. The mean is one more baseline.
+    # Standardised, so that c suits rewards of any size. The mean acts as a baseline.
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -225,7 +226,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coe
     entropy = policy.entropy().mean()
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
-    # Scale a gradient down if its norm is above the limit. (PPO clips something else.)
+    # Scale a gradient down if its norm is above the limit.
     for network in agent.actor, agent.critic:  # one by one: V's errors must not slow the actor
         nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
@@ -239,17 +240,15 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     """A vector of `count` environments: actions (N,) in; observations (N, D), rewards (N,), … out.
 
     "sync" steps one after the other. "async" gives each a process of its own: steps run at the same
-    time, but each costs a message there and back, one after the other. With idle cores (count at
-    most N of them) that takes
+    time, but each costs a message there and back, one after the other. With C ≤ N idle cores
 
-        N·step/cores + N·message,  not  N·step:    async pays if step·(1 − 1/cores) > message
+        N·step  becomes  N·step/C + N·message:      async pays if step·(1 − 1/C) > message
 
-    LunarLander's step takes 0.03 ms, a message 0.04 ms: here it never does, so sync is the default.
+    On our machine LunarLander's step takes 0.03 ms, a message 0.04 ms: it does not. Measure yours.
 
     With "NextStep" an environment resets itself in the step after the end of an episode. That step
     ignores the action, so an agent should not learn from it. With "Disabled" none resets itself:
-    `rollout` resets those in its mask, and the others keep their observation. `evaluate` counts
-    only first episodes, so there "NextStep" is fine.
+    `rollout` does it, by a mask. As `evaluate` counts first episodes only, it can use "NextStep".
     """
     if args.randomize and "LunarLander" not in args.env_id:
         raise gym.error.Error("--randomize knows the physics of LunarLander only")
@@ -268,7 +267,8 @@ class RandomPhysics(gym.Wrapper):
 
     An agent is often meant for a world that we know only roughly: a robot, say, is trained in a
     simulator. If it has learned to act in many worlds, it may cope with the real one, too. It does
-    not see which world was drawn, so one policy has to do for all. Evaluations draw worlds, too.
+    not see which world was drawn, so one policy has to do for all, which may cost some return in
+    each. Evaluations draw worlds, too.
 
     For another environment change the check in `make_envs` and what `reset` sets, and recompute
     what depends on it. In CartPole, say, draw `length` and `masspole`, and then set
@@ -278,11 +278,11 @@ class RandomPhysics(gym.Wrapper):
     def reset(self, *, seed=None, options=None):
         if seed is not None:
             self.env.reset(seed=seed)  # seeds the environment's own generator, from which we draw
-        moon = self.unwrapped
-        moon.gravity = moon.np_random.uniform(-11.99, -7.0)  # the usual moon has −10, and no wind
-        moon.enable_wind = bool(moon.np_random.integers(2))
-        moon.wind_power = moon.np_random.uniform(0.0, 20.0)
-        moon.turbulence_power = moon.np_random.uniform(0.0, 2.0)
+        lander = self.unwrapped  # usual: gravity −10, no wind; allowed: −12 to 0
+        lander.gravity = lander.np_random.uniform(-11.99, -7.0)
+        lander.enable_wind = bool(lander.np_random.integers(2))
+        lander.wind_power = lander.np_random.uniform(0.0, 20.0)
+        lander.turbulence_power = lander.np_random.uniform(0.0, 2.0)
         return self.env.reset(options=options)
 
 
@@ -333,10 +333,11 @@ def train(index, args, folder):
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. If they are all
-        # alike, even a good V would look bad, so at least a tenth of their mean counts as spread.
-        variance = torch.maximum(targets.var(correction=0), (targets.mean() / 10) ** 2)
-        metrics["explained_variance"] = 1 - (advantages.square().mean() / variance).item()
+        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. Its errors are
+        # the advantages. Blank if targets vary by less than a tenth of their mean: any V looks bad.
+        unexplained = advantages.square().mean() / targets.var(correction=0)
+        alike = targets.std(correction=0) < targets.mean().abs() / 10
+        metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()
         log.append({"env_step": update * steps, "seconds": time.perf_counter() - start,
                     "return": np.mean(returns) if returns else np.nan, **metrics})
         if update in evaluations:
@@ -410,7 +411,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
 
 
 def watch(path, argv=()):
-    """Play an episode of a saved agent: print its return, and film it in a GIF beside `path`."""
+    """Play an episode of a saved agent: print its return; a GIF beside `path` shows its start."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # off screen
     saved = torch.load(path, weights_only=True)
     args = parse_args(argv, argparse.Namespace(**saved["options"]))  # typed ones win

@@ -9,8 +9,8 @@
     python ppo_continuous.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first command trains three agents side by side to balance a double pendulum on a cart, and
-leaves logs, agents and a figure in a new folder in runs/. In a good run the return climbs within a
-minute from 50, which random actions earn, to 9,300; the most is 9,360.
+leaves logs, agents and a figure in a new folder in runs/. In a good run the return in evaluation,
+without noise, climbs within a minute to 9,300; the most is 9,360, and random actions earn 50.
 
 At every step the agent observes the state s (here of cart and poles), draws an action a from its
 policy π(a|s), and gets a reward r, until the episode ends. We want a high *return*, the sum of all
@@ -23,27 +23,27 @@ rewards of an episode. Two neural networks learn:
 γ makes distant rewards count less: with 0.99, one 100 steps away counts 0.37. The *advantage* A of
 an action is the mean of G if we take it now and then follow π, minus V(s). A *rollout* of recorded
 steps gives noisy estimates of it. Actions that did better than the others become more likely, the
-rest less. REINFORCE and A2C take one gradient step on a rollout; PPO [1] takes many, to get more
-out of it. But a rollout only shows what its own policy, π_old, did, so π must stay near π_old.
-One update:
+rest less. In REINFORCE and A2C the actor takes one gradient step on a rollout; in PPO [1] many, to
+get more out of it. But a rollout only shows what its own policy, π_old, did, so π must stay near
+π_old. One update:
 
   1. Anneal: the learning rate falls to 0, and σ from 0.6 to 0.2: explore widely first, then settle.
   2. Collect a rollout: T steps in each of N environments.
-  3. Scale the rewards, so that V's targets are of the order of 1: in each step Adam moves a weight
-     by about the learning rate, however large the gradient, so thousands would take very long.
+  3. Scale the rewards, so that V's targets, here up to 936, are of the order of 1: in a step Adam
+     moves a weight by about the learning rate, however large the gradient, so V would lag behind.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates the mean of G: the target for V.
   5. Go through the rollout several times, in minibatches, and on each take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
      Before each step measure how far π has moved: once KL(π_old ‖ π) exceeds max_kl, go on to 6.
-  6. Update the statistics that normalise observations: last, as a change between 2 and 5 would move
-     π without any gradient. Start again at 1.
+  6. Update the statistics that normalise observations: last, so that ρ and KL compare π with the
+     policy that drew the actions. Start again at 1.
 
 PPO itself is 2, 4, and the minibatches and loss of 5. The rest is mostly as in [4], but there σ is
-learned, actions are clipped, time limits count as deaths, and KL is not limited. Left out: clipping
-of rewards, gradients and value loss; an entropy bonus, which rewards a wide π (here its gradient is
-0, as we set σ). `--env-id` takes other tasks; `mlp` makes the networks.
+learned, actions are clipped, time limits count as deaths, KL is not limited, and Adam's ε is 1e-5.
+Left out: clipping of rewards, gradients and value loss; an entropy bonus, which rewards a wide π
+(as we set σ, its gradient would be 0). `--env-id` takes other tasks; `mlp` makes the networks.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -110,7 +110,7 @@ class RunningStatistics(nn.Module):
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
 
     def std(self):
-        """The standard deviation; 1 for a constant, whose variance is nothing but rounding."""
+        """The standard deviation; 1 for a constant, whose variance is 0 but for rounding."""
         return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
@@ -140,13 +140,11 @@ def mlp(inputs, hidden, outputs, last_gain):
 
 
 def squash(actions, space):
-    """Map unbounded actions (N, K) into the bounds of the action space.
+    """Map unbounded actions (N, K) into the bounds of the action space: a part of the environment.
 
-    This counts as part of the environment: PPO sees the action a as drawn, and its density π(a|s).
-    (The squashed action's density has one more factor, the same in π and π_old, so ρ is the same.)
+    PPO sees a as it was drawn. (The squashed action's density has one more factor, but ρ is equal.)
     """
-    share = (np.tanh(actions) + 1) / 2
-    inside = (1 - share) * space.low + share * space.high
+    inside = space.low + (np.tanh(actions) + 1) / 2 * (space.high - space.low)
     return inside.clip(space.low, space.high).astype(space.dtype)  # rounding may go beyond
 
 
@@ -172,18 +170,18 @@ def rollout(envs, agent, obs, earned, num_steps):
     stored, so `next_obs` is what really followed the action, never the start of another episode.
     Returns Transitions; `obs` and `earned` to go on from; and the returns of episodes that ended.
     """
-    steps, returns = [], []
+    rows, returns = [], []
     for _ in range(num_steps):
         actions = agent.act(obs)
         next_obs, rewards, terminated, truncated, _ = envs.step(actions)
         done = terminated | truncated
-        steps.append((obs, actions, rewards, next_obs, terminated, done))
+        rows.append((obs, actions, rewards, next_obs, terminated, done))
         obs, earned = next_obs, earned + rewards
         if done.any():
             returns += earned[done].tolist()
             earned[done] = 0
             obs, _ = envs.reset(options={"reset_mask": done})
-    columns = (torch.tensor(np.stack(column)) for column in zip(*steps))  # transposed
+    columns = (torch.tensor(np.stack(column)) for column in zip(*rows))
     return Transitions(*columns), obs, earned, returns
 
 
@@ -192,10 +190,10 @@ def scale_rewards(rewards, done, F, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    We would divide by the spread of V's targets, but these lie in the future. F, the same sum over
-    the past, stands in. (If all F are equal, rewards are not scaled.) No mean is subtracted: that
-    would change what a long episode is worth. `F` is where to start from, (N,) or 0. Returns the
-    scaled rewards, and the F to go on from.
+    We would divide by the spread of V's targets, but these contain V, in the units that we look for.
+    F, the same sum over the past, stands in. (If all F are equal, rewards are not scaled.) No mean
+    is subtracted: that would change what a long episode is worth. `F` is where to start from, (N,)
+    or 0. Returns the scaled rewards, and the F to go on from.
     """
     sums = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -206,7 +204,7 @@ def scale_rewards(rewards, done, F, stats, gamma):
 
 
 def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambda):
-    """4. Generalised advantage estimation; all (T, N) ([2] eq. 11 and 16).
+    """4. Generalised advantage estimation: returns A; all are (T, N) ([2] eq. 11 and 16).
 
         δ_t = r_t + γ·V(s_{t+1}) − V(s_t)               how much better one step was than expected
         A_t = δ_t + γλ·δ_{t+1} + (γλ)²·δ_{t+2} + …
@@ -221,12 +219,12 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
         terminated     δ = 0.6, 0.6, −3     A = 0.26, −0.75, −3
         truncated      δ = 0.6, 0.6, 0.6    A = 0.99, 0.87, 0.6
 
-    Why sum several δ? If V were exact, δ_t would be right on average: r_t + γ·V(s_{t+1}) is what
-    we got and may now expect, V(s_t) what we expected. Later δ have mean 0, and only add noise. But
-    a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t. With λ = 1 the V in between cancel:
-    A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where time or the rollout ends: rewards
-    that were really earned, with all their noise. In between, δ_{t+k} counts λ^k times as much as
-    for λ = 1: less error than with λ = 0, less noise than with λ = 1.
+    Why sum several δ? If V were exact, the mean of δ_t would be the advantage of a_t: r_t +
+    γ·V(s_{t+1}) is what we got and may still expect, V(s_t) what we expected before. Later δ would
+    have mean 0, and only add noise. But a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t.
+    With λ = 1 the V in between cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where
+    time or the rollout ends: rewards that were really earned, with all their noise. In between,
+    δ_{t+k} counts λ^k times as much as for λ = 1: less error than λ = 0, less noise than λ = 1.
     """
     next_values = next_values.masked_fill(terminated, 0)
     advantages = rewards + gamma * next_values - values  # at first only δ
@@ -244,9 +242,9 @@ def policy_loss(ratio, advantages, clip_eps):
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
-    The states are π_old's, too, which is nearly right while π is near π_old. As ∇ρ = ρ·∇log π, the
-    gradient at ρ = 1, where an update starts, is E[A·∇log π], as in REINFORCE and A2C. Farther away
-    the estimate gets worse, so a sample drops out once ρ has gone far enough in A's direction:
+    The states are π_old's, too: nearly right while π is near π_old. As ∇ρ = ρ·∇log π, the gradient
+    at ρ = 1, where an update starts, is E[A·∇log π], as in REINFORCE and A2C. Farther away the
+    estimate gets worse, so a sample drops out once ρ has gone far enough in A's direction:
 
                     ρ < 1−ε                1−ε ≤ ρ ≤ 1+ε      ρ > 1+ε
         A > 0       ρ·A: raise ρ           ρ·A: raise ρ       (1+ε)·A: no gradient
@@ -264,13 +262,14 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
     """5. Gradient steps on all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
     A KL above max_kl ends them all, the critic's too. Returns metrics of the last minibatch: `kl`
-    may be above max_kl, as the step before is not undone; `clip_fraction` counts every ρ outside
-    1 ± ε, also those that keep their gradient. As π and π_old are Gaussians with the same σ,
+    may exceed max_kl, as the step that went too far is not undone; `clip_fraction` counts every ρ
+    outside 1 ± ε, also those that keep their gradient. As π and π_old are Gaussians of the same σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
-    averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4. If you
-    let σ learn, this formula no longer holds: use torch.distributions.kl_divergence.
+    averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4; more
+    numbers share it. To let σ learn, make log σ a Parameter, keep its old value with the samples,
+    and use torch.distributions.kl_divergence, because this formula needs equal σ.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):
@@ -283,7 +282,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            # Standardised: one scale in all tasks; the mean is one more baseline.
+            # Standardised, as is customary. The mean acts as a baseline, exactly so while ρ = 1.
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
@@ -339,13 +338,14 @@ def train(index, args, folder):
         metrics = optimise(agent, optimizer, [x.flatten(0, 1) for x in samples],
                            epochs=args.epochs, minibatch_size=args.minibatch_size,
                            clip_eps=args.clip_eps, max_kl=args.max_kl)
-        # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
+        # 6. Update the statistics, last.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. If they are all
-        # alike, even a good V would look bad, so at least a tenth of their mean counts as spread.
-        variance = torch.maximum(targets.var(correction=0), (targets.mean() / 10) ** 2)
-        metrics["explained_variance"] = 1 - (advantages.square().mean() / variance).item()
+        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. Its errors are
+        # the advantages. Blank if targets vary by less than a tenth of their mean: any V looks bad.
+        unexplained = advantages.square().mean() / targets.var(correction=0)
+        alike = targets.std(correction=0) < targets.mean().abs() / 10
+        metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()
         log.append({"env_step": update * steps, "seconds": time.perf_counter() - start,
                     "return": np.mean(returns) if returns else np.nan, **metrics})
         if update in evaluations:
@@ -431,7 +431,7 @@ def evaluate(agent, envs, seed, before_step=lambda step: None):
 
 
 def watch(path, argv=()):
-    """Play an episode of a saved agent: print its return, and film it in a GIF beside `path`."""
+    """Play an episode of a saved agent: print its return; a GIF beside `path` shows its start."""
     os.environ.setdefault("MUJOCO_GL", "egl" if sys.platform == "linux" else "glfw")  # off screen
     saved = torch.load(path, weights_only=True)
     args = parse_args(argv, argparse.Namespace(**saved["options"]))  # typed ones win
