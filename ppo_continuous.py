@@ -190,7 +190,7 @@ def scale_rewards(rewards, done, F, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    We would divide by the spread of V's targets, but these contain V, in the units that we look for.
+    We would divide by the spread of V's targets, but these contain V, in the units we look for.
     F, the same sum over the past, stands in. (If all F are equal, rewards are not scaled.) No mean
     is subtracted: that would change what a long episode is worth. `F` is where to start from, (N,)
     or 0. Returns the scaled rewards, and the F to go on from.

@@ -19,8 +19,7 @@ CHANGES = {
         "return (rewards / stats.std()).float(), F", "return rewards.float(), F")]),
     "observations-not-normalised": (PPO, [(
         "        agent.obs_stats.update(batch.obs)\n", "")]),
-    "no-tanh": (PPO, [("    share = (np.tanh(actions) + 1) / 2\n",
-                       "    share = (actions + 1) / 2\n")]),
+    "no-tanh": (PPO, [("(np.tanh(actions) + 1) / 2", "(actions + 1) / 2")]),
     "last-layer-not-small": (PPO, [("last_gain=0.01", "last_gain=1.0")]),
     "learning-rate-constant": (PPO, [('["lr"] = remaining * args', '["lr"] = args')]),
     "sigma-learned": (PPO, [

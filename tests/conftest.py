@@ -1,6 +1,5 @@
-"""Fixtures that several test files share: the three scripts, and a finished run of each."""
+"""The three scripts, as fixtures."""
 
-import functools
 import sys
 from types import ModuleType
 from typing import NamedTuple
@@ -8,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from harness import SEED, STRICT, run
+from harness import SEED
 
 import a2c_vector
 import ppo_continuous
@@ -20,7 +19,6 @@ class Script(NamedTuple):
     env_id: str
     small: str  # a training of some 512 steps
     worlds: str = ""  # prefix of the worlds whose actions fit
-    seeds: tuple = (SEED + 3, SEED + 11)
 
     @property
     def name(self):
@@ -32,14 +30,17 @@ class Script(NamedTuple):
     def args(self, *options):
         return self.module.parse_args([str(x) for x in options])
 
-    def agent(self, world, hidden_size=64):
-        args = self.args("--env-id", self.world(world))
+    def envs(self, env_id, count=1, **options):
+        """A vector of environments; of REINFORCE the one that it knows."""
         if self.name == "reinforce_mujoco":
-            env = self.module.make_env(args.env_id)
-            return self.module.Agent(env.observation_space, env.action_space, hidden_size)
-        envs = self.module.make_envs(args, 1)
-        return self.module.Agent(
-            envs.single_observation_space, envs.single_action_space, hidden_size)
+            return self.module.make_env(env_id)
+        return self.module.make_envs(self.args("--env-id", env_id), count, **options)
+
+    def agent(self, world, hidden_size=64):
+        envs = self.envs(self.world(world))
+        spaces = [getattr(envs, f"single_{x}", getattr(envs, x))
+                  for x in ("observation_space", "action_space")]
+        return self.module.Agent(*spaces, hidden_size)
 
     def train(self, folder, *options, seed=SEED + 3):
         """Train a seed in this process; the path of its files, without a suffix."""
@@ -73,25 +74,6 @@ both = only("a2c_vector", "ppo_continuous")
 def fixed_seed():
     torch.manual_seed(SEED)
     np.random.seed(SEED)
-
-
-@pytest.fixture(scope="session")
-def finished(tmp_path_factory):
-    """finished(script): a run of two seeds: where it was started, and its process."""
-    @functools.cache  # a run for each script, however the tests are ordered
-    def finished(script):
-        cwd = tmp_path_factory.mktemp(script.name)
-        arguments = f"--env-id {script.env_id} {script.small} --seed".split()
-        return cwd, run(f"{script.name}.py", *arguments, *script.seeds, cwd=cwd, python=STRICT)
-
-    return finished
-
-
-@pytest.fixture
-def folder(script, finished):
-    """The folder of the finished run."""
-    (folder,) = (finished(script)[0] / "runs").iterdir()
-    return folder
 
 
 @pytest.fixture

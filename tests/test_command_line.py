@@ -4,32 +4,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SCRIPTS
 from gymnasium.spaces import Box, Dict, Discrete, MultiDiscrete
 from harness import World, register
 
-EVERYWHERE = {"seed": [1], "watch": None, "out_dir": "runs", "num_evals": 20, "hidden_size": 64}
+ALL = {"seed": [1], "watch": None, "out_dir": "runs", "num_evals": 20, "hidden_size": 64}
 DEFAULTS = {
-    "reinforce_mujoco": {
+    "reinforce_mujoco": ALL | {
         "env_id": "InvertedPendulum-v5", "total_steps": 100_000, "eval_episodes": 5,
         "batch_episodes": 4, "baseline": "value", "critic_steps": 10, "learning_rate": 3e-3,
         "gamma": 0.98},
-    "a2c_vector": {
+    "a2c_vector": ALL | {
         "env_id": "LunarLander-v3", "total_steps": 1_000_000, "eval_episodes": 20, "num_envs": 8,
         "vectorization": "sync", "randomize": False, "rollout_steps": 64, "reward_scale": 0.1,
         "learning_rate": 2e-3, "gamma": 0.999, "gae_lambda": 0.98, "entropy_coef": 0.01,
         "max_grad_norm": 0.5},
-    "ppo_continuous": {
+    "ppo_continuous": ALL | {
         "env_id": "InvertedDoublePendulum-v5", "total_steps": 150_000, "eval_episodes": 10,
         "num_envs": 16, "rollout_steps": 128, "epochs": 10, "minibatch_size": 512,
         "learning_rate": 1e-3, "gamma": 0.99, "gae_lambda": 0.95, "clip_eps": 0.2, "max_kl": 0.03,
-        "first_std": 0.6, "last_std": 0.2},
-}
+        "first_std": 0.6, "last_std": 0.2}}
 
 
 def test_defaults_are_what_the_numbers_were_measured_with(script):
-    """In a notebook, too: no option is typed there."""
-    assert vars(script.module.parse_args([])) == {**EVERYWHERE, **DEFAULTS[script.name]}
+    """In a notebook, too, where no option is typed."""
+    assert vars(script.module.parse_args([])) == DEFAULTS[script.name]
 
 
 @pytest.fixture
@@ -39,8 +37,7 @@ def refusal(call, capsys):
         with pytest.raises(SystemExit) as end:
             call(script, *arguments)
         assert isinstance(end.value.code, str)
-        assert end.value.code.strip()
-        assert "\n" not in end.value.code
+        assert end.value.code.count("\n") == 0 < len(end.value.code)
         assert capsys.readouterr() == ("", "")
         assert not list(Path().iterdir())
         return end.value.code
@@ -48,20 +45,17 @@ def refusal(call, capsys):
     return refusal
 
 
-M = 3e38
 for name, spaces in {
-        "DictObs": {"observations": Dict(position=Box(-1, 1, (2,)))},
-        "Matrix": {"observations": Box(-1, 1, (9, 9))},
-        "ManyActions": {"actions": MultiDiscrete([2, 3])},
-        "SquareActions": {"actions": Box(-1, 1, (2, 2))}, "From1": {"actions": Discrete(3, start=1)},
-        "WholeActions": {"actions": Box(0, 5, (1,), int)},
-        "Unbounded": {"actions": Box(-np.inf, np.inf, (2,))},
-        "TooWide": {"actions": Box(-M, M, (2,))}}.items():
+        "Dict": {"observations": Dict(position=Box(-1, 1, (2,)))},
+        "Matrix": {"observations": Box(-1, 1, (9, 9))}, "Whole": {"actions": Box(0, 5, (1,), int)},
+        "Many": {"actions": MultiDiscrete([2, 3])}, "Square": {"actions": Box(-1, 1, (2, 2))},
+        "From1": {"actions": Discrete(3, start=1)}, "Endless": {"actions": Box(-np.inf, np.inf)},
+        "TooWide": {"actions": Box(-3e38, 3e38, (2,))}}.items():
     register(name, **spaces)
-VECTORS = "Discrete{}DictObs", "Discrete{}Matrix", "From1", "ManyActions", "SquareActions"
-MISFITS = [(script, name.format("").removeprefix("" if script == "a2c_vector" else "Discrete"))
-           for script in SCRIPTS for name in VECTORS]
-MISFITS += [("ppo_continuous", name) for name in ("WholeActions", "Unbounded", "TooWide")]
+MISFITS = [*zip(["reinforce_mujoco"] * 9, ["Dict", "Matrix", "Many", "Square", "From1"]),
+           *zip(["a2c_vector"] * 9, ["DiscreteDict", "DiscreteMatrix", "Many", "Square", "From1"]),
+           *zip(["ppo_continuous"] * 9, ["Dict", "Matrix", "Whole", "Many", "Square", "From1",
+                                         "Endless", "TooWide"])]
 
 
 @pytest.mark.filterwarnings("error")
@@ -82,7 +76,7 @@ def test_what_is_wrong_is_named_in_one_line(script, arguments, words, refusal):
 
 def test_numbers_out_of_range_and_no_numbers_are_named(script, refusal):
     """In every option that takes one; 1e6 is a whole number."""
-    for name, default in vars(script.args()).items():
+    for name, default in DEFAULTS[script.name].items():
         default = default[0] if name == "seed" else default
         if type(default) in (int, float):
             flag = "--" + name.replace("_", "-")

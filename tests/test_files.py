@@ -10,45 +10,55 @@ import pandas as pd
 import pytest
 import torch
 from conftest import both
-from harness import ROOT, SEED, STRICT, World, read_log, register, run, spy
+from gymnasium.utils.seeding import np_random
+from harness import ROOT, SEED, STRICT, Uneven, World, read_log, register, run, spy
 from matplotlib.figure import Figure
 from PIL import Image
 
-METRICS = {
-    "reinforce_mujoco": {"value_loss", "explained_variance", "policy_std"},
-    "a2c_vector": {"value_loss", "explained_variance", "entropy"},
-    "ppo_continuous": {"value_loss", "explained_variance", "kl", "clip_fraction"},
-}
+METRICS = {"reinforce_mujoco": ["value_loss", "policy_std"], "a2c_vector": ["value_loss", "entropy"],
+           "ppo_continuous": ["value_loss", "kl", "clip_fraction"]}
+SEEDS = SEED + 3, SEED + 11
 
 
-def test_a_run_leaves_logs_agents_and_a_figure_in_one_new_folder(script, finished, folder):
-    """The bar comes to its end, and a line for each seed is printed, without a warning."""
-    cwd, process = finished(script)
+@pytest.fixture(scope="session")
+def finished(script, tmp_path_factory):
+    """A run of two seeds in a shell, in which a warning is an error: its process, and its folder."""
+    cwd = tmp_path_factory.mktemp(script.name)
+    process = run(f"{script.name}.py", "--env-id", script.env_id, *script.small.split(), "--seed",
+                  *SEEDS, cwd=cwd, python=STRICT)
     assert [path.name for path in cwd.iterdir()] == ["runs"]
+    (folder,) = (cwd / "runs").iterdir()
+    return process, folder
+
+
+def test_a_run_leaves_logs_agents_and_a_figure_in_one_new_folder(script, finished):
+    """The bar comes to its end, and a line for each seed is printed, with its last evaluation."""
+    process, folder = finished
     assert re.fullmatch(rf"{script.env_id}__{script.name}__\d{{8}}_\d{{6,}}", folder.name)
-    files = {f"seed-{seed}.{suffix}" for seed in script.seeds for suffix in ("csv", "pt")}
+    files = {f"seed-{seed}.{suffix}" for seed in SEEDS for suffix in ("csv", "pt")}
     assert {path.name for path in folder.iterdir()} == {"learning_curve.png", *files}
     first, columns, _, *rows = process.out.splitlines()
     assert first == str(folder)
-    for seed, row in zip(sorted(script.seeds, key=str), rows, strict=True):
+    for seed, row in zip(sorted(SEEDS, key=str), rows, strict=True):
         log = pd.read_csv(folder / f"seed-{seed}.csv")
-        assert set(log) == {"env_step", "seconds", "return", "eval_return", *METRICS[script.name]}
-        assert np.isfinite(log.drop(columns=["return", "eval_return"])).all(axis=None)
+        assert set(log) == {"env_step", "seconds", "return", "eval_return", "explained_variance",
+                            *METRICS[script.name]}
+        assert np.isfinite(log[["env_step", "seconds", *METRICS[script.name]]]).all(axis=None)
+        assert log["seconds"].is_monotonic_increasing
         saved = torch.load(folder / f"seed-{seed}.pt", weights_only=True)
         given = {"env_id": script.env_id, "seed": [seed]}
         assert saved["options"] == vars(script.args(*script.small.split())) | given
-        printed = dict(zip(["seed", *columns.split()], row.split()))
-        assert printed["seed"] == f"seed-{seed}"
-        assert float(printed["env_step"]) == log["env_step"].iloc[-1]
-        assert float(printed["eval_return"]) == pytest.approx(log["eval_return"].iloc[-1], rel=1e-4)
+        name, env_step, eval_return = row.split()
+        assert (name, int(env_step)) == (f"seed-{seed}", log["env_step"].iloc[-1])
+        assert float(eval_return) == pytest.approx(log["eval_return"].iloc[-1], rel=1e-4)
     assert not re.search("(?i)warning|nan", process.out + process.err)
     assert re.search(r"100%\S+ (\d+)/\1 ", process.err)
 
 
-def test_seeds_in_parallel_equal_seeds_alone(script, folder, tmp_path):
+def test_seeds_in_parallel_equal_seeds_alone(script, finished, tmp_path):
     """Also the second, in which nothing is of the first."""
-    alone = script.train(tmp_path, seed=script.seeds[1])
-    first, second = (read_log(folder / f"seed-{seed}") for seed in script.seeds)
+    alone = script.train(tmp_path, seed=SEEDS[1])
+    first, second = (read_log(finished[1] / f"seed-{seed}") for seed in SEEDS)
     pd.testing.assert_frame_equal(second, read_log(alone), check_exact=True)
     assert not first.equals(second)
 
@@ -60,84 +70,61 @@ def test_evaluations_change_nothing(script, tmp_path):
     pd.testing.assert_frame_equal(*logs, check_exact=True)
 
 
-def evaluate_by_hand(script, agent, world, seed):
-    """Nine episodes, one after the other, each in a new environment."""
-    returns = []
-    for i in range(9):
-        args = script.args("--env-id", script.world(world))
-        if script.name == "reinforce_mujoco":
-            env = script.module.make_env(args.env_id)
-            episode = script.module.play(env, agent, True, 1_000_000 + 1000 * seed + i)
-            returns.append(sum(episode.rewards))
-            continue
-        envs = script.module.make_envs(args, 1)
-        obs, _ = envs.reset(seed=1_000_000 + 1000 * seed + i)
-        done, total = False, 0.0
-        while not done:
-            obs, rewards, terminated, truncated, _ = envs.step(agent.act(obs, deterministic=True))
-            total += rewards.item()
-            done = (terminated | truncated).item()
-        returns.append(total)
-    return np.mean(returns)
+class Drawn(Uneven):
+    """Pays what the episode has drawn, so that its return is known from its seed."""
+
+    def reward(self, action):
+        return self.episode
 
 
-def test_an_evaluation_plays_one_deterministic_episode_of_each_seed(script):
-    agent, args = script.agent("Uneven"), script.args("--env-id", script.world("Uneven"))
+register("Drawn", Drawn)
+
+
+def test_an_evaluation_plays_one_episode_of_each_seed_and_has_no_noise(script, tmp_path):
+    path = script.train(tmp_path, "--env-id", script.world("Drawn", "test_files"),
+                        "--eval-episodes", 9)
+    starts = [np_random(1_000_000 + 1000 * (SEED + 3) + i)[0].uniform(-1, 1) for i in range(9)]
+    returns = [start * (7 if start > 0 else 3) for start in starts]
+    found = read_log(path)["eval_return"].dropna().to_numpy()
+    np.testing.assert_allclose(found, np.mean(returns), rtol=1e-5)
+    assert len(found) >= 4
+    agent, envs = script.agent("Uneven"), script.envs(script.world("Uneven"), 9)
     agent.actor[-1].weight.data *= 100
-    reinforce = script.name == "reinforce_mujoco"
-    envs = script.module.make_env(args.env_id) if reinforce else script.module.make_envs(args, 9)
-    for seed in SEED + 7, SEED + 8, SEED + 7:  # in environments that have been used
-        found = script.module.evaluate(agent, envs, seed, *([9] if reinforce else []))
-        assert found == pytest.approx(evaluate_by_hand(script, agent, "Uneven", seed), rel=1e-5)
+    count = [9] if script.name == "reinforce_mujoco" else []
+    of_actions = {script.module.evaluate(agent, envs, SEED, *count) for _ in range(3)}
+    assert len(of_actions) == 1
 
 
 @pytest.mark.filterwarnings("error")
-def test_the_figure_has_a_large_panel_of_returns_above_one_for_each_diagnostic(
-        script, folder, monkeypatch, tmp_path, capsys):
-    """And in each a line for each seed, as in the logs; also metrics of one's own.
+@pytest.mark.parametrize(("seeds", "rows"), [(1, 1), (2, 9), (40, 2)])
+def test_the_figure_shows_all_seeds_and_evaluations_stand_out(
+        script, seeds, rows, monkeypatch, tmp_path, capsys):
+    """A large panel of returns above one for each metric, also of one's own, here with a blank.
 
-    Evaluations stand out; the last one is printed, not the best.
+    The last evaluation is printed, not the best. Many seeds take no room, one row shows a point.
     """
-    logs = {seed: pd.read_csv(folder / f"seed-{seed}.csv") for seed in script.seeds}
-    for seed, log in logs.items():
-        log["mine"] = range(seed, seed + len(log))
-        log["eval_return"] = [30, *[np.nan] * (len(log) - 2), 10]
-        log.to_csv(tmp_path / f"seed-{seed}.csv", index=False)
-    figures = spy(monkeypatch, Figure, "savefig", lambda figure, _: figure)
-    script.module.plot(tmp_path)
-    assert [row.split()[-1] for row in capsys.readouterr().out.splitlines()[-2:]] == ["10.0"] * 2
-    drawn = {panel.get_ylabel().split()[0]: panel for panel in figures[0].axes}
-    assert set(drawn) == {"return", "mine", *METRICS[script.name]}
-    large, *small = (panel.get_position() for panel in drawn.values())
-    assert all(large.width * large.height > 5 * x.width * x.height for x in small)
-    for name, panel in drawn.items():
-        lines = [line for line in panel.lines if len(line.get_xdata())]
-        columns = [name, "eval_return"] if name == "return" else [name]
-        expected = [(column, log[["env_step", column]].dropna().to_numpy().tolist())
-                    for column in columns for log in logs.values()]
-        found = [("return" if line.get_alpha() < 0.9 else "eval_return" if name == "return"
-                  else name, line.get_xydata().tolist()) for line in lines]
-        assert sorted(found) == sorted(expected)
-    legend = [text.get_text() for text in drawn["return"].get_legend().get_texts()]
-    assert sorted(legend) == sorted(f"seed-{seed}" for seed in script.seeds)
-
-
-@pytest.mark.parametrize(("seeds", "rows"), [(1, 1), (40, 2)])
-@pytest.mark.filterwarnings("error")
-def test_a_figure_of_one_row_or_of_many_seeds_shows_them(seeds, rows, monkeypatch, tmp_path):
-    log = pd.DataFrame({"env_step": range(rows), "seconds": 1, "return": 1, "eval_return": 2,
-                        "explained_variance": 0})
+    log = pd.DataFrame({"env_step": range(rows), "seconds": 1.0, "return": 5, "mine": 6,
+                        "explained_variance": np.nan, "eval_return": 30.0})
+    log.loc[1:, "eval_return"] = [*[np.nan] * (rows - 2), 10.0][: rows - 1]
     for seed in range(seeds):
         log.to_csv(tmp_path / f"seed-{seed}.csv", index=False)
     figures = spy(monkeypatch, Figure, "savefig", lambda figure, _: figure.canvas.draw() or figure)
-    sys.modules["ppo_continuous"].plot(tmp_path)
-    large = figures[0].axes[0]
-    assert all(line.get_marker() != "None" for line in large.lines)
-    assert large.get_position().width * large.get_position().height > 0.4
+    script.module.plot(str(tmp_path))  # as text, too
+    assert float(capsys.readouterr().out.split()[-1]) == (30 if rows == 1 else 10)
+    drawn = {panel.get_ylabel().split()[0]: panel for panel in figures[0].axes}
+    assert set(drawn) == {"return", "mine", "explained_variance"}
+    large, *small = (panel.get_position() for panel in drawn.values())
+    assert large.width * large.height > 0.4
+    assert all(large.width * large.height > 3 * x.width * x.height for x in small)
+    lines = [(line.get_alpha() < 0.9, line.get_marker() != "None", line.get_xydata().tolist())
+             for line in drawn["return"].lines if len(line.get_xdata())]
+    evaluations = log[["env_step", "eval_return"]].dropna().to_numpy().tolist()
+    pale = (True, True, log[["env_step", "return"]].to_numpy().tolist())
+    assert lines == [pale] * seeds + [(False, True, evaluations)] * seeds
 
 
 class Bar(World):
-    """Draws how many steps it has taken into one picture, which it keeps; pays what it has drawn."""
+    """Draws how many steps it has taken into one picture, which it keeps; pays what was drawn."""
 
     def __init__(self, render_mode=None, fps=20, **kwargs):
         super().__init__(**kwargs)
@@ -184,9 +171,9 @@ def test_watch_plays_the_first_episode_of_an_evaluation_and_films_it(
     sys.platform != "linux" or not ctypes.util.find_library("EGL"), reason="no EGL here")
 @pytest.mark.slow
 @both  # which draw with MuJoCo and with pygame
-def test_a_copy_of_a_script_films_a_copied_agent_without_a_display(script, folder, tmp_path):
+def test_a_copy_of_a_script_films_a_copied_agent_without_a_display(script, finished, tmp_path):
     shutil.copy(ROOT / f"{script.name}.py", tmp_path / "mine.py")
-    shutil.copy(folder / f"seed-{script.seeds[1]}.pt", tmp_path / "my.pt")
+    shutil.copy(finished[1] / f"seed-{SEEDS[1]}.pt", tmp_path / "my.pt")
     process = run(tmp_path / "mine.py", "--watch", "my.pt", cwd=tmp_path, python=STRICT)
     assert re.fullmatch(r"return: [\d.]+\n", process.out)
     assert not re.search("Traceback|Exception|Warning", process.err)  # SDL may miss a folder
