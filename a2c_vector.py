@@ -9,8 +9,8 @@
     python a2c_vector.py --watch runs/…/seed-1.pt   # replays an agent and films it
 
 The first command trains three agents side by side to land on the moon, and leaves logs, agents and
-a figure in a new folder in runs/. In a good run the return, evaluated without noise, climbs within
-three minutes to about 250; 200 counts as solved, and random actions earn −180.
+a figure in a new folder in runs/. In a good run the return in evaluation, of the likeliest actions,
+climbs within three minutes to about 250; 200 counts as solved, and random actions earn −180.
 
 At every step the agent observes the state s of its environment (here: where the lander is and how
 it moves), draws an action a from its policy π(a|s), and gets a reward r, until the episode ends. We
@@ -26,9 +26,8 @@ still to come, so the agent can learn every T steps, in mid-episode. One update:
 
   1. Anneal, linearly to 0: the learning rate, and the weight c of the entropy bonus in 5.
   2. Collect a rollout: T steps in each of N environments (--rollout-steps, --num-envs).
-  3. Multiply the rewards by 0.1: in each step Adam moves a weight by about the learning rate,
-     however large the gradient, so V would lag behind targets of hundreds. The actor does not care:
-     its A is standardised.
+  3. Multiply the rewards by 0.1: to predict hundreds, V's weights must grow, but Adam moves each by
+     about the learning rate, however large the error. (The actor's A is standardised anyway.)
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates the mean of G: the target for V.
   5. Take one gradient step, on the whole rollout, on
          −mean(A·log π(a|s)) + ½·mean((V(s) − target)²) − c·entropy(π)      with A standardised
@@ -39,7 +38,7 @@ still to come, so the agent can learn every T steps, in mid-episode. One update:
 N environments (`make_envs`) are in N different situations, so the gradient is less noisy, and one
 call of a network serves them all; but the same number of steps allows fewer updates. `--randomize`
 draws random moons (`RandomPhysics`). A2C itself is 2, 4 with λ = 1, and 5 without standardising A;
-the rest are common variants. `--env-id` takes other tasks; `mlp` makes the networks.
+the rest, and a limit on gradients, is common. `--env-id` takes other tasks; `mlp` makes networks.
 
 In the code: s obs (D numbers), a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep RL, arXiv 1602.01783: A3C; A2C is synchronous.
@@ -188,9 +187,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     Why sum several δ? If V were exact, the mean of δ_t would be the advantage of a_t: r_t +
     γ·V(s_{t+1}) is what we got and may still expect, V(s_t) what we expected before. Later δ would
     have mean 0, and only add noise. But a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t.
-    With λ = 1 the V in between cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where
-    time or the rollout ends: rewards that were really earned, with all their noise. In between,
-    δ_{t+k} counts λ^k times as much as for λ = 1: less error than λ = 0, less noise than λ = 1.
+    With λ = 1 all V but the first and the last cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), plus
+    γⁿ·V(s_{t+n}) if a time limit or the rollout's end cuts the sum. Those rewards were really
+    earned, with all their noise. Other λ are a compromise: δ_{t+k} counts λ^k times as much.
     """
     next_values = next_values.masked_fill(terminated, 0)
     advantages = rewards + gamma * next_values - values  # at first only δ
@@ -202,23 +201,24 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(log_probs, advantages):
     """−mean(A·log π); log π and A are (T, N). Why does a step on it raise the mean return?
 
-        ∇E[return] = Σ_τ return·∇p(τ) = E[return·Σ_t ∇log π(a_t|s_t)]        as ∇p = p·∇log p
+        ∇E[return] = Σ_τ return·∇P(τ) = E[return·Σ_t ∇log π(a_t|s_t)]        as ∇P = P·∇log P
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]     less noise: see below
-                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]                A_t estimates (…), with V and γ < 1
+                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]       A_t estimates (…): γ < 1, V for later rewards
 
-    Of the probability p(τ) of an episode, only the factors π(a_t|s_t) depend on the weights. In s_t
+    Of the probability P(τ) of an episode, only the factors π(a_t|s_t) depend on the weights. In s_t
     the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0. It stays 0 when multiplied by
     what is fixed before a_t is drawn. So we may drop earlier rewards and subtract V(s_t).
 
     E is over actions of π as it is now. After one step π is another, and the rollout is outdated.
-    (Here a mean over steps is as good as a sum: their number, T·N, does not depend on the actions.)
+    A term needs only s_t, a_t and A_t, so a rollout may hold pieces of episodes. And here a mean is
+    as good as a sum, because the number of steps, T·N, does not depend on the actions.
     """
     return -(advantages * log_probs).mean()
 
 
 def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coef, max_grad_norm):
     """5. One gradient step on a whole rollout: all (T, N), and `obs` (T, N, D). Returns metrics."""
-    # Standardised, so that c suits rewards of any size. The mean acts as a baseline.
+    # Standardised, so that c suits any rewards. The mean acts as a baseline (but contains A).
     A = (advantages - advantages.mean()) / (advantages.std(correction=0) + 1e-8)
     policy = agent.policy(obs)
     loss_pi = policy_loss(policy.log_prob(actions), A)
@@ -227,7 +227,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coe
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
     # Scale a gradient down if its norm is above the limit.
-    for network in agent.actor, agent.critic:  # one by one: V's errors must not slow the actor
+    for network in agent.actor, agent.critic:  # one by one, or V's errors would weigh the actor's
         nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
     return {"value_loss": loss_v.item(), "entropy": entropy.item()}
@@ -247,8 +247,8 @@ def make_envs(args, count, vectorization="sync", autoreset_mode="NextStep", **kw
     On our machine LunarLander's step takes 0.03 ms, a message 0.04 ms: it does not. Measure yours.
 
     With "NextStep" an environment resets itself in the step after the end of an episode. That step
-    ignores the action, so an agent should not learn from it. With "Disabled" none resets itself:
-    `rollout` does it, by a mask. As `evaluate` counts first episodes only, it can use "NextStep".
+    ignores the action: nothing to learn from. So training takes "Disabled": a finished environment
+    waits until `rollout` resets it. In evaluation finished ones may restart, as they do not count.
     """
     if args.randomize and "LunarLander" not in args.env_id:
         raise gym.error.Error("--randomize knows the physics of LunarLander only")
@@ -333,8 +333,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. Its errors are
-        # the advantages. Blank if targets vary by less than a tenth of their mean: any V looks bad.
+        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Errors
+        # are the advantages. Blank if targets vary by less than a tenth of their mean.
         unexplained = advantages.square().mean() / targets.var(correction=0)
         alike = targets.std(correction=0) < targets.mean().abs() / 10
         metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()
@@ -394,7 +394,7 @@ def bounded(kind, low, high=1e12):
 
 
 def evaluate(agent, envs, seed, before_step=lambda step: None):
-    """The mean return of an episode in each environment: no noise, always the same starts.
+    """The mean return of an episode in each environment: deterministic, always the same starts.
 
     Without a time limit, that of the first 1,000 steps.
     """

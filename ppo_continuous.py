@@ -29,21 +29,21 @@ get more out of it. But a rollout only shows what its own policy, π_old, did, s
 
   1. Anneal: the learning rate falls to 0, and σ from 0.6 to 0.2: explore widely first, then settle.
   2. Collect a rollout: T steps in each of N environments.
-  3. Scale the rewards, so that V's targets, here up to 936, are of the order of 1: in a step Adam
-     moves a weight by about the learning rate, however large the gradient, so V would lag behind.
+  3. Scale the rewards, so that V's targets, here up to 936, are of the order of 1: to predict more,
+     V's weights must grow, but Adam moves each by about the learning rate, however large the error.
   4. Estimate the advantages A (GAE [2]). A + V(s) then estimates the mean of G: the target for V.
   5. Go through the rollout several times, in minibatches, and on each take a gradient step on
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
-     Before each step measure how far π has moved: once KL(π_old ‖ π) exceeds max_kl, go on to 6.
+     Before each step measure on it how far π has moved: if KL(π_old ‖ π) > max_kl, go on to 6.
   6. Update the statistics that normalise observations: last, so that ρ and KL compare π with the
      policy that drew the actions. Start again at 1.
 
-PPO itself is 2, 4, and the minibatches and loss of 5. The rest is mostly as in [4], but there σ is
-learned, actions are clipped, time limits count as deaths, KL is not limited, and Adam's ε is 1e-5.
-Left out: clipping of rewards, gradients and value loss; an entropy bonus, which rewards a wide π
-(as we set σ, its gradient would be 0). `--env-id` takes other tasks; `mlp` makes the networks.
+PPO itself is 2, 4, and 5 without standardising A or max_kl. The rest is mostly as in [4], but there
+σ is learned, actions are clipped, time limits count as deaths, and Adam's ε is 1e-5. Left out:
+clipping of rewards, gradients and value loss; an entropy bonus, which rewards a wide π (as we set
+σ, its gradient would be 0). `--env-id` takes other tasks; `mlp` makes the networks.
 
 In the code: s obs, a actions, V values, A advantages, ρ ratio, ε clip_eps, λ gae_lambda, σ sigma.
 In shapes: T rollout_steps, N num_envs, B a minibatch, D numbers in an observation, K in an action.
@@ -142,7 +142,7 @@ def mlp(inputs, hidden, outputs, last_gain):
 def squash(actions, space):
     """Map unbounded actions (N, K) into the bounds of the action space: a part of the environment.
 
-    PPO sees a as it was drawn. (The squashed action's density has one more factor, but ρ is equal.)
+    PPO sees a as drawn. (The density of the squashed one has one more factor, which cancels in ρ.)
     """
     inside = space.low + (np.tanh(actions) + 1) / 2 * (space.high - space.low)
     return inside.clip(space.low, space.high).astype(space.dtype)  # rounding may go beyond
@@ -190,10 +190,10 @@ def scale_rewards(rewards, done, F, stats, gamma):
 
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
-    We would divide by the spread of V's targets, but these contain V, in the units we look for.
-    F, the same sum over the past, stands in. (If all F are equal, rewards are not scaled.) No mean
-    is subtracted: that would change what a long episode is worth. `F` is where to start from, (N,)
-    or 0. Returns the scaled rewards, and the F to go on from.
+    We would divide by the spread of V's targets, but these contain V, which is already scaled. F,
+    the same sum over the past, needs rewards only. (If all F are equal, they are not scaled.) No
+    mean is subtracted: that would change what a long episode is worth. `F` is where to start from,
+    (N,) or 0. Returns the scaled rewards, and the F to go on from.
     """
     sums = torch.empty_like(rewards)
     for t in range(len(rewards)):
@@ -222,9 +222,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
     Why sum several δ? If V were exact, the mean of δ_t would be the advantage of a_t: r_t +
     γ·V(s_{t+1}) is what we got and may still expect, V(s_t) what we expected before. Later δ would
     have mean 0, and only add noise. But a learned V is wrong. λ = 0 keeps all its error: A_t = δ_t.
-    With λ = 1 the V in between cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), with a last γⁿ·V where
-    time or the rollout ends: rewards that were really earned, with all their noise. In between,
-    δ_{t+k} counts λ^k times as much as for λ = 1: less error than λ = 0, less noise than λ = 1.
+    With λ = 1 all V but the first and the last cancel: A_t = r_t + γ·r_{t+1} + … − V(s_t), plus
+    γⁿ·V(s_{t+n}) if a time limit or the rollout's end cuts the sum. Those rewards were really
+    earned, with all their noise. Other λ are a compromise: δ_{t+k} counts λ^k times as much.
     """
     next_values = next_values.masked_fill(terminated, 0)
     advantages = rewards + gamma * next_values - values  # at first only δ
@@ -236,9 +236,9 @@ def compute_gae(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def policy_loss(ratio, advantages, clip_eps):
     """−mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)); ρ and A are (B,) ([1] eq. 7).
 
-    Take one action from π, then go on with π_old: how much more do we earn? A says how much better
-    an action is than what π_old does on average, so the answer is the mean of A over π's actions.
-    We only have π_old's actions, so each is weighted by ρ:
+    Take one action from π, then go on with π_old: how much more do we earn than with π_old alone? A
+    says how much better an action is than what π_old does on average, so the answer is the mean of
+    A over π's actions. We only have π_old's actions, so each is weighted by ρ:
 
         ∫ π·A da = ∫ π_old·(π/π_old)·A da = E[ρ·A]     a drawn from π_old, as in the rollout
 
@@ -252,7 +252,7 @@ def policy_loss(ratio, advantages, clip_eps):
 
     Where ρ has gone the wrong way, the gradient stays, to lead it back. The clip only removes
     gradients. It does not hold π: one step may jump past 1 ± ε, Adam's momentum carries on, and
-    other samples move the same weights. Hence max_kl.
+    other samples move the same weights. Hence max_kl, as a second brake.
     """
     clipped_ratio = ratio.clamp(1 - clip_eps, 1 + clip_eps)
     return -torch.min(ratio * advantages, clipped_ratio * advantages).mean()
@@ -261,15 +261,15 @@ def policy_loss(ratio, advantages, clip_eps):
 def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max_kl):
     """5. Gradient steps on all T·N samples: obs, actions, μ_old, log π_old(a|s), A, targets.
 
-    A KL above max_kl ends them all, the critic's too. Returns metrics of the last minibatch: `kl`
-    may exceed max_kl, as the step that went too far is not undone; `clip_fraction` counts every ρ
-    outside 1 ± ε, also those that keep their gradient. As π and π_old are Gaussians of the same σ,
+    A KL above max_kl ends them, the critic's too. Returns metrics of the last minibatch: `kl` may
+    exceed max_kl, as the step before, which went too far, is not undone; `clip_fraction` counts all
+    ρ outside 1 ± ε, also those that keep their gradient. As π and π_old are Gaussians with one σ,
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
     averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4; more
-    numbers share it. To let σ learn, make log σ a Parameter, keep its old value with the samples,
-    and use torch.distributions.kl_divergence, because this formula needs equal σ.
+    numbers share it. To let σ learn, make log σ a Parameter, do not fill it in step 1, put
+    `old_pi.stddev` among the samples, and use torch.distributions.kl_divergence.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):
@@ -282,7 +282,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
                        "clip_fraction": ((ratio - 1).abs() > clip_eps).float().mean().item()}
             if kl > max_kl:
                 return metrics
-            # Standardised, as is customary. The mean acts as a baseline, exactly so while ρ = 1.
+            # Standardised, as is customary. The mean acts as a baseline (but contains A itself).
             A = (A - A.mean()) / (A.std(correction=0) + 1e-8)
             optimizer.zero_grad()
             (policy_loss(ratio, A, clip_eps) + loss_v).backward()  # each trains its own network
@@ -341,8 +341,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets: 1 perfectly, 0 no better than a constant. Its errors are
-        # the advantages. Blank if targets vary by less than a tenth of their mean: any V looks bad.
+        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Errors
+        # are the advantages. Blank if targets vary by less than a tenth of their mean.
         unexplained = advantages.square().mean() / targets.var(correction=0)
         alike = targets.std(correction=0) < targets.mean().abs() / 10
         metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()
@@ -414,7 +414,7 @@ def make_envs(args, count, autoreset_mode="NextStep", **kwargs):
 
 
 def evaluate(agent, envs, seed, before_step=lambda step: None):
-    """The mean return of an episode in each environment: no noise, always the same starts.
+    """The mean return of an episode in each environment: deterministic, always the same starts.
 
     Without a time limit, that of the first 1,000 steps.
     """

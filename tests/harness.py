@@ -1,6 +1,5 @@
-"""What tests share: running a script as a user would, looking into one, worlds with known answers."""
+"""What tests share: running a script as a user would, looking into it, worlds to train in."""
 
-import copy
 import os
 import subprocess
 import sys
@@ -20,9 +19,9 @@ STRICT = ["-W", "error", "-W", "ignore::DeprecationWarning",
 
 def start(script, *arguments, cwd, python=()):
     """Start `python script.py arguments` in `cwd`, as a group of processes, without a display."""
-    hidden = "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL"
-    env = {name: value for name, value in os.environ.items() if name not in hidden}
-    env |= {"PYTHONPATH": str(ROOT / "tests"), "PYTHONIOENCODING": "utf-8", "OMP_NUM_THREADS": "1"}
+    env = {**os.environ, "PYTHONPATH": str(ROOT / "tests"), "OMP_NUM_THREADS": "1"}
+    for name in "DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL":
+        env.pop(name, None)
     return subprocess.Popen(
         [sys.executable, *python, str(ROOT / script), *map(str, arguments)],
         cwd=cwd, env=env, encoding="utf-8", start_new_session=True,
@@ -61,22 +60,7 @@ def spy(monkeypatch, module, name, keep):
     return kept
 
 
-def spy_rollouts(monkeypatch, module, change=lambda batch: batch):
-    """A list of (the agent as it played, its transitions), which `change` may replace."""
-    kept, rollout = [], module.rollout
-
-    def spied(envs, agent, *rest):
-        player = copy.deepcopy(agent)
-        batch, *others = rollout(envs, agent, *rest)
-        kept.append((player, change(batch)))
-        return kept[-1][1], *others
-
-    monkeypatch.setattr(module, "rollout", spied)
-    return kept
-
-
 ACTIONS = Box(np.float32([-1, 0]), np.float32([3, 0.5]))  # neither symmetric nor alike
-TARGET = np.float32([2, 0.1])
 
 
 class World(gym.Env):
@@ -107,13 +91,6 @@ class World(gym.Env):
         return 1.0
 
 
-class Target(World):
-    """One step; the best action is TARGET, its reward 0."""
-
-    def reward(self, action):
-        return -float(np.square(action - TARGET).sum())
-
-
 class Uneven(World):
     """Episodes of 3 steps, of 7 if its first number is positive; the action is the reward."""
 
@@ -137,5 +114,4 @@ def register(name, world=World, limit=None, **kwargs):
 register("ThreeSteps")
 register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
-register("Target", Target, length=1)
 register("Uneven", Uneven)

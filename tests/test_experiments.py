@@ -1,4 +1,4 @@
-"""experiments/: changes apply, blanks turn their tests red, statistics are right, runs merge."""
+"""experiments/: changes, blanks, statistics, merged runs, an agent trained in two processes."""
 
 import re
 import shlex
@@ -14,7 +14,7 @@ import pytest
 import study
 import variants
 from conftest import SCRIPTS
-from harness import ROOT, read_log
+from harness import ROOT, read_log, run
 from scipy import stats
 
 SHEET = (ROOT / "docs/exercises.md").read_text(encoding="utf-8")
@@ -77,3 +77,19 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
         assert re.search(f"^total_steps {setting} ", out, re.MULTILINE)
     assert "total_steps 256 − total_steps 512: -7, 95%: -" in out
     assert (tmp_path / "merged.png").exists()
+
+
+@pytest.mark.slow
+def test_together_two_processes_train_one_agent(tmp_path):
+    """Steps, episodes and files are those of one process; only the noise is another."""
+    script, torchrun = SCRIPTS["ppo_continuous"], "-m torch.distributed.run --standalone"
+    options = f"--env-id harness:Forever-v0 --seed 1 {script.small}".split()
+    run("experiments/together.py", *options, cwd=tmp_path,
+        python=[*torchrun.split(), "--nproc-per-node", "2"])
+    (folder,) = (tmp_path / "runs").iterdir()
+    assert len(list(folder.iterdir())) == 3
+    log = read_log(folder / "seed-1")
+    alone = read_log(script.train(tmp_path, "--env-id", "harness:Forever-v0", seed=1))
+    same = ["env_step", "return", "eval_return"]
+    pd.testing.assert_frame_equal(log[same], alone[same])
+    assert not log["value_loss"].equals(alone["value_loss"])

@@ -1,5 +1,6 @@
-"""README and docs: commands and snippets run, links resolve."""
+"""Text: functions that files share, requirements, and pages, whose commands run."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -7,6 +8,28 @@ import sys
 import pytest
 from conftest import SCRIPTS
 from harness import ROOT, STRICT
+
+TEXTS = {name: (ROOT / f"{name}.py").read_text(encoding="utf-8") for name in SCRIPTS}
+SAME = {"plot": 3, "bounded": 3, "evaluate": 2, "main": 2, "watch": 2, "rollout": 2,
+        "compute_gae": 2, "RunningStatistics": 2, "mlp": 2}  # PPO shares it with one more, or both
+
+
+def test_functions_of_the_same_name_have_the_same_text_in_these_files():
+    found = [(node.name, ast.get_source_segment(text, node)) for text in TEXTS.values()
+             for node in ast.parse(text).body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    shared = {name: found.count((name, text)) for name, text in found}
+    assert {name: count for name, count in shared.items() if count > 1} == SAME
+
+
+def test_requirements_txt_is_what_the_scripts_ask_for():
+    listed = set((ROOT / "requirements.txt").read_text().splitlines())
+    for name, text in TEXTS.items():
+        block = re.match(r"(?s)# /// script\n(.*?)\n# ///\n", text).group(1)
+        extra = "box2d" if name == "a2c_vector" else "mujoco"
+        packages = re.findall(r'"([^"]+)"[,\]]', block)
+        assert any(x.startswith("mujoco") for x in packages) == (extra == "mujoco")
+        assert {x.replace(f"[{extra}]", "[mujoco,box2d]") for x in packages} < listed
+
 
 DOCUMENTS = [path for pattern in ("*.md", "docs/*.md", "experiments/data/*.md")
              for path in sorted(ROOT.glob(pattern))]
