@@ -1,6 +1,6 @@
 # /// script
-# requires-python = ">=3.10,<3.14"
-# dependencies = ["torch>=2.6,<2.14", "gymnasium[box2d]>=1.4,<1.5", "numpy>=1.26",
+# requires-python = ">=3.10,<3.14"  # Box2D has no wheel for 3.14
+# dependencies = ["torch>=2.6", "gymnasium[box2d]>=1.2", "numpy>=1.26",
 #     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31", "tqdm>=4.66"]
 # ///
 """A2C: advantage actor-critic, with many environments and random physics, in one file.

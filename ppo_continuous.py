@@ -1,7 +1,7 @@
 # /// script
-# requires-python = ">=3.10,<3.14"
-# dependencies = ["torch>=2.6,<2.14", "gymnasium[mujoco]>=1.4,<1.5", "numpy>=1.26", "tqdm>=4.66",
-#     "mujoco>=3.1,<3.16", "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31"]
+# requires-python = ">=3.10"
+# dependencies = ["torch>=2.6", "gymnasium[mujoco]>=1.2", "mujoco>=3.1,<3.16", "numpy>=1.26",
+#     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31", "tqdm>=4.66"]
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
 
