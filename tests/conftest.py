@@ -30,17 +30,16 @@ class Script(NamedTuple):
     def args(self, *options):
         return self.module.parse_args([str(x) for x in options])
 
-    def envs(self, env_id, count=1, **options):
+    def envs(self, world, count=1, **options):
         """A vector of environments; of REINFORCE the one that it knows."""
         if self.name == "reinforce_mujoco":
-            return self.module.make_env(env_id)
-        return self.module.make_envs(self.args("--env-id", env_id), count, **options)
+            return self.module.make_env(self.world(world))
+        return self.module.make_envs(
+            self.args("--env-id", self.world(world)), count, **options)
 
     def agent(self, world, hidden_size=64):
-        envs = self.envs(self.world(world))
-        spaces = [getattr(envs, f"single_{x}", getattr(envs, x))
-                  for x in ("observation_space", "action_space")]
-        return self.module.Agent(*spaces, hidden_size)
+        (env,) = getattr(self.envs(world).unwrapped, "envs", [self.envs(world)])
+        return self.module.Agent(env.observation_space, env.action_space, hidden_size)
 
     def train(self, folder, *options, seed=SEED + 3):
         """Train a seed in this process; the path of its files, without a suffix."""

@@ -28,12 +28,12 @@ def start(script, *arguments, cwd, python=()):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
-def run(script, *arguments, cwd, **options):
-    """Run a script to its end; what it printed is in `out` and `err` of the process."""
-    process = start(script, *arguments, cwd=cwd, **options)
-    process.out, process.err = process.communicate(timeout=170)
-    assert process.returncode == 0, process.err
-    return process
+def run(script, *arguments, **options):
+    """Run a script to its end; returns what it printed."""
+    process = start(script, *arguments, **options)
+    out, err = process.communicate(timeout=170)
+    assert process.returncode == 0, err
+    return out, err
 
 
 def read_log(path):

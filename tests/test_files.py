@@ -22,22 +22,22 @@ SEEDS = SEED + 3, SEED + 11
 
 @pytest.fixture(scope="session")
 def finished(script, tmp_path_factory):
-    """A run of two seeds in a shell, where a warning is an error: its process, and its folder."""
+    """A run of two seeds in a shell, where a warning is an error: its output, and its folder."""
     cwd = tmp_path_factory.mktemp(script.name)
-    process = run(f"{script.name}.py", "--env-id", script.env_id, *script.small.split(), "--seed",
+    printed = run(f"{script.name}.py", "--env-id", script.env_id, *script.small.split(), "--seed",
                   *SEEDS, cwd=cwd, python=STRICT)
     assert [path.name for path in cwd.iterdir()] == ["runs"]
     (folder,) = (cwd / "runs").iterdir()
-    return process, folder
+    return printed, folder
 
 
 def test_a_run_leaves_logs_agents_and_a_figure_in_one_new_folder(script, finished):
     """The bar comes to its end, and a line for each seed is printed, with its last evaluation."""
-    process, folder = finished
+    (out, err), folder = finished
     assert re.fullmatch(rf"{script.env_id}__{script.name}__\d{{8}}_\d{{6,}}", folder.name)
     files = {f"seed-{seed}.{suffix}" for seed in SEEDS for suffix in ("csv", "pt")}
     assert {path.name for path in folder.iterdir()} == {"learning_curve.png", *files}
-    first, columns, _, *rows = process.out.splitlines()
+    first, columns, _, *rows = out.splitlines()
     assert first == str(folder)
     for seed, row in zip(sorted(SEEDS, key=str), rows, strict=True):
         log = pd.read_csv(folder / f"seed-{seed}.csv")
@@ -51,8 +51,8 @@ def test_a_run_leaves_logs_agents_and_a_figure_in_one_new_folder(script, finishe
         name, env_step, eval_return = row.split()
         assert (name, int(env_step)) == (f"seed-{seed}", log["env_step"].iloc[-1])
         assert float(eval_return) == pytest.approx(log["eval_return"].iloc[-1], rel=1e-4)
-    assert not re.search("(?i)warning|nan", process.out + process.err)
-    assert re.search(r"100%\S+ (\d+)/\1 ", process.err)
+    assert not re.search("(?i)warning|nan", out + err)
+    assert re.search(r"100%\S+ (\d+)/\1 ", err)
 
 
 def test_seeds_in_parallel_equal_seeds_alone(script, finished, tmp_path):
@@ -68,7 +68,7 @@ def test_evaluations_have_no_noise_and_change_nothing(script, tmp_path):
     few, many = (script.train(tmp_path / n, "--num-evals", n, "--eval-episodes", n) for n in "14")
     logs = [read_log(path).drop(columns="eval_return") for path in (few, many)]
     pd.testing.assert_frame_equal(*logs, check_exact=True)
-    agent, envs = script.agent("Uneven"), script.envs(script.world("Uneven"), 9)
+    agent, envs = script.agent("Uneven"), script.envs("Uneven", 9)
     agent.actor[-1].weight.data *= 100
     count = [9] if script.name == "reinforce_mujoco" else []
     assert len({script.module.evaluate(agent, envs, SEED, *count) for _ in range(3)}) == 1
@@ -162,9 +162,9 @@ def test_an_evaluation_plays_an_episode_of_each_seed_and_watch_films_the_start_o
 def test_a_copy_of_a_script_films_a_copied_agent_without_a_display(script, finished, tmp_path):
     shutil.copy(ROOT / f"{script.name}.py", tmp_path / "mine.py")
     shutil.copy(finished[1] / f"seed-{SEEDS[1]}.pt", tmp_path / "my.pt")
-    process = run(tmp_path / "mine.py", "--watch", "my.pt", cwd=tmp_path, python=STRICT)
-    assert re.fullmatch(r"return: [\d.]+\n", process.out)
-    assert not re.search("Traceback|Exception|Warning", process.err)  # SDL may miss a folder
+    out, err = run(tmp_path / "mine.py", "--watch", "my.pt", cwd=tmp_path, python=STRICT)
+    assert re.fullmatch(r"return: [\d.]+\n", out)
+    assert not re.search("Traceback|Exception|Warning", err)  # SDL may miss a folder
     assert {path.name for path in tmp_path.iterdir()} == {"mine.py", "my.pt", "my.gif"}
     with Image.open(tmp_path / "my.gif") as gif:
         assert gif.n_frames > 1

@@ -13,17 +13,14 @@ from ppo_continuous import RunningStatistics, compute_gae, scale_rewards
 
 def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambda):
     """A_t = Σ_k (γλ)^k·δ_{t+k}, up to the end of the episode or of the rollout, in float64."""
-    advantages = torch.zeros(rewards.shape, dtype=torch.float64)
-    T, N = rewards.shape
-    for n in range(N):
-        for t in range(T):
-            for k in range(T - t):
-                i = t + k, n
-                bootstrap = 0 if terminated[i] else next_values[i].item()
-                delta = rewards[i].item() + gamma * bootstrap - values[i].item()
-                advantages[t, n] += (gamma * gae_lambda) ** k * delta
-                if done[i]:
-                    break
+    bootstrap = torch.where(terminated, 0, next_values.double())
+    delta = rewards.double() + gamma * bootstrap - values.double()
+    advantages = torch.zeros_like(delta)
+    for t, n in np.ndindex(*delta.shape):
+        for k in range(len(delta) - t):
+            advantages[t, n] += (gamma * gae_lambda) ** k * delta[t + k, n]
+            if done[t + k, n]:
+                break
     return advantages
 
 
@@ -33,15 +30,14 @@ def gae_by_hand(rewards, values, next_values, terminated, done, gamma, gae_lambd
 def test_gae_is_the_discounted_sum_of_td_errors_within_an_episode(gamma, gae_lambda, T):
     rewards, values, next_values = torch.randn(3, T, 64)
     terminated, truncated = torch.rand(2, T, 64) < 0.25
-    terminated[0, :2], truncated[0, :2] = True, torch.tensor([True, False])  # not bootstrapped
-    terminated[0, 2:4], truncated[0, 2:4] = False, torch.tensor([True, False])  # bootstrapped
+    terminated[0, :4] = torch.tensor([True, True, False, False])
+    truncated[0, :4] = torch.tensor([True, False, True, False])
     batch = rewards, values, next_values, terminated, terminated | truncated
     found = compute_gae(*batch, gamma, gae_lambda).double()
     torch.testing.assert_close(found, gae_by_hand(*batch, gamma, gae_lambda), rtol=0, atol=1e-4)
 
 
 def test_a_value_of_a_terminal_state_does_not_count_even_if_it_is_nan():
-    """As of an environment that shows NaN once all is over."""
     nan, end = torch.full((3, 1), torch.nan), torch.ones(3, 1, dtype=torch.bool)
     found = compute_gae(torch.ones(3, 1), torch.zeros(3, 1), nan, end, end, 0.9, 0.5)
     assert found.flatten().tolist() == [1, 1, 1]

@@ -9,7 +9,7 @@ from harness import ACTIONS, SEED, read_log, spy
 
 
 def play(script, name):
-    envs = script.envs(script.world(name), 4, autoreset_mode="Disabled")
+    envs = script.envs(name, 4, autoreset_mode="Disabled")
     obs, _ = envs.reset(seed=SEED)
     agent = script.agent(name)
     return envs, *script.module.rollout(envs, agent, obs, 0.0, 25)
