@@ -99,15 +99,12 @@ class RunningStatistics(nn.Module):
         super().__init__()
         self.register_buffer("mean", torch.zeros(shape, dtype=torch.float64))
         self.register_buffer("var", torch.ones(shape, dtype=torch.float64))
+        self.register_buffer("std", torch.ones(shape, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
-
-    def std(self):
-        """The standard deviation; 1 for a constant, whose variance is 0 but for rounding."""
-        return torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0)
 
     def normalise(self, x):
         """To mean 0 and standard deviation 1, clipped so that no outlier dominates the networks."""
-        return ((x - self.mean) / self.std()).clamp(-10, 10).float()
+        return ((x - self.mean) / self.std).clamp(-10, 10).float()
 
     def update(self, rows):
         """Merge in new `rows` (…, *shape), whose weight w is their share of all rows so far.
@@ -120,6 +117,8 @@ class RunningStatistics(nn.Module):
         w = len(rows) / self.count.item()
         self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
+        # Of a constant 1: its variance is 0 but for rounding.
+        self.std.copy_(torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0))
 
 
 def mlp(inputs, hidden, outputs, last_gain):

@@ -16,7 +16,7 @@ CHANGES = {
     "advantages-not-standardised": (PPO, [
         ("A = (A - A.mean()) / (A.std(correction=0) + 1e-8)", "A = A")]),
     "rewards-not-scaled": (PPO, [(
-        "return (rewards / stats.std()).float(), F", "return rewards.float(), F")]),
+        "return (rewards / stats.std).float(), F", "return rewards.float(), F")]),
     "observations-not-normalised": (PPO, [(
         "        agent.obs_stats.update(batch.obs)\n", "")]),
     "no-tanh": (PPO, [("(np.tanh(actions) + 1) / 2", "(actions + 1) / 2")]),

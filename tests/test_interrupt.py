@@ -14,9 +14,9 @@ LONG = "--total-steps 1e7 --num-evals 2000 --eval-episodes 2 --num-envs 4 --roll
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no process groups")
 @pytest.mark.parametrize(("send", "command", "count"), [
-    (os.killpg, f"ppo_continuous.py --env-id harness:BothEnds-v0 {LONG}", 1),
-    (os.kill, f"a2c_vector.py --env-id harness:DiscreteBothEnds-v0 {LONG} --seed 1 2 "
-              "--vectorization async", 2)])
+    (os.killpg, f"a2c_vector.py --env-id harness:DiscreteBothEnds-v0 {LONG} "
+                "--vectorization async", 1),
+    (os.kill, f"ppo_continuous.py --env-id harness:BothEnds-v0 {LONG} --seed 1 2", 2)])
 def test_ctrl_c_ends_a_run_at_once_and_in_order(send, command, count, tmp_path):
     """A terminal sends it to all processes, an editor's stop button to the main one."""
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored after a shell's `&`
