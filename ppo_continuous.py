@@ -349,7 +349,7 @@ def train(index, args, folder):
                     "return": np.mean(returns) if returns else np.nan, **metrics})
         if update in evaluations:
             log[-1]["eval_return"] = evaluate(agent, eval_envs, seed)
-            bar.set_postfix(eval_return=round(log[-1]["eval_return"], 1))
+            bar.set_postfix(eval_return=f"{log[-1]['eval_return']:.1f}")
             folder.mkdir(parents=True, exist_ok=True)
             pd.DataFrame(log).to_csv(folder / f"seed-{seed}.csv", index=False)
             torch.save({"agent": agent.state_dict(), "options": {**vars(args), "seed": [seed]}},
