@@ -1,6 +1,7 @@
 """Each option has its effect; schedules, evaluations and seeds are as the files say."""
 
 import numpy as np
+import pytest
 import torch
 from conftest import SCRIPTS
 from harness import SEED, Uneven, read_log, spy
@@ -74,6 +75,7 @@ def test_rates_fall_linearly_and_the_last_agent_is_evaluated(script, monkeypatch
     assert steps.iloc[-1] >= 100 > steps.iloc[-2]
 
 
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # Gymnasium's, of the spy's signature
 def test_no_two_environments_of_neighbouring_seeds_start_alike(monkeypatch, tmp_path):
     """Neither in training nor in evaluation."""
     seeds = spy(monkeypatch, Uneven, "reset", lambda world, seed=None, options=None: seed)
