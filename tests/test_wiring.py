@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import SCRIPTS
-from harness import SEED, Uneven, read_log, spy
+from harness import SEED, Uneven, read_log, register, spy
 
 VECTORS = {"num_envs": 2, "rollout_steps": 16, "gae_lambda": 0.5, "hidden_size": 8, "gamma": 0.5,
            "learning_rate": 1e-4, "total_steps": 256, "num_evals": 2, "eval_episodes": 3,
@@ -18,14 +18,24 @@ OTHERS = {
 ELSEWHERE = {"watch", "out_dir", "vectorization", "randomize"}  # tested with what they are for
 
 
+class Drawn(Uneven):
+    """Pays what the episode has drawn, so that no two evaluations are alike."""
+
+    def reward(self, action):
+        return self.episode
+
+
+register("Drawn", Drawn)
+
+
 def test_every_option_has_an_effect(script, tmp_path):
     """On the log, and is saved."""
-    options = {**VECTORS, **OTHERS[script.name]}
-    usual = read_log(script.train(tmp_path))
+    options, env = {**VECTORS, **OTHERS[script.name]}, script.world("Drawn", "test_wiring")
+    usual = read_log(script.train(tmp_path, "--env-id", env))
     for name in set(vars(script.args())) - ELSEWHERE:
         flag, value = f"--{name.replace('_', '-')}", options[name]
         seed = {"seed": value} if name == "seed" else {}
-        path = script.train(tmp_path, flag, value, **seed)
+        path = script.train(tmp_path, "--env-id", env, flag, value, **seed)
         assert not read_log(path).equals(usual), f"{flag} has no effect"
         saved = torch.load(f"{path}.pt", weights_only=True)["options"]
         assert saved[name] == ([value] if name == "seed" else value)
