@@ -38,7 +38,7 @@ still to come, so the agent can learn every T steps, in mid-episode. One update:
 N environments (`make_envs`) are in N different situations, so the gradient is less noisy, and one
 call of a network serves them all; but the same number of steps allows fewer updates. `--randomize`
 draws random moons (`RandomPhysics`). A2C itself is 2, 4 with λ = 1, and 5 without standardising A;
-the rest, and a limit on gradients, is common. `--env-id` takes other tasks; `mlp` makes networks.
+the rest is customary, as is a limit on gradients. `--env-id` takes other tasks.
 
 In the code: s obs (D numbers), a actions, V values, A advantages, λ gae_lambda, c entropy_coef.
 [1] Mnih et al. 2016, Asynchronous Methods for Deep RL, arXiv 1602.01783: A3C; A2C is synchronous.
@@ -117,7 +117,7 @@ class RunningStatistics(nn.Module):
         w = len(rows) / self.count.item()
         self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
-        # Of a constant 1: its variance is 0 but for rounding.
+        # A dimension that has never changed has variance 0, but for rounding. It gets std 1.
         self.std.copy_(torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0))
 
 
@@ -226,7 +226,7 @@ def optimise(agent, optimizer, obs, actions, advantages, targets, *, entropy_coe
     optimizer.zero_grad()
     (loss_pi + loss_v - entropy_coef * entropy).backward()
     # Scale a gradient down if its norm is above the limit.
-    for network in agent.actor, agent.critic:  # one by one, or V's errors would weigh the actor's
+    for network in agent.actor, agent.critic:  # one by one: V's errors must not scale the actor's
         nn.utils.clip_grad_norm_(network.parameters(), max_grad_norm)
     optimizer.step()
     return {"value_loss": loss_v.item(), "entropy": entropy.item()}
@@ -332,8 +332,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last, so that 2 to 5 all normalise in the same way.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Errors
-        # are the advantages. Blank if targets vary by less than a tenth of their mean.
+        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Its
+        # errors are the advantages. Blank if targets vary by less than a tenth of their mean.
         unexplained = advantages.square().mean() / targets.var(correction=0)
         alike = targets.std(correction=0) < targets.mean().abs() / 10
         metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()

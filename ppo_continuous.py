@@ -36,7 +36,7 @@ get more out of it. But a rollout only shows what its own policy, π_old, did, s
          −mean(min(ρ·A, clip(ρ, 1−ε, 1+ε)·A)) + ½·mean((V(s) − target)²)
      with A standardised. ρ = π(a|s)/π_old(a|s) says how many times as likely an action has become;
      the clip takes the gradient away once ρ has gone far enough in A's direction (`policy_loss`).
-     Before each step measure on it how far π has moved: if KL(π_old ‖ π) > max_kl, go on to 6.
+     Before each step measure how far π has moved: if KL(π_old ‖ π) exceeds max_kl, go on to 6.
   6. Update the statistics that normalise observations: last, so that ρ and KL compare π with the
      policy that drew the actions. Start again at 1.
 
@@ -125,7 +125,7 @@ class RunningStatistics(nn.Module):
         w = len(rows) / self.count.item()
         self.var.lerp_(rows.var(0, correction=0) + (1 - w) * (rows.mean(0) - self.mean) ** 2, w)
         self.mean.lerp_(rows.mean(0), w)
-        # Of a constant 1: its variance is 0 but for rounding.
+        # A dimension that has never changed has variance 0, but for rounding. It gets std 1.
         self.std.copy_(torch.where(self.var > 1e-16 * self.mean**2, self.var.sqrt(), 1.0))
 
 
@@ -190,7 +190,7 @@ def scale_rewards(rewards, done, F, stats, gamma):
         F_t = r_t + γ·F_{t−1},  from 0 in each new episode.
 
     We would divide by the spread of V's targets, but these contain V, which is already scaled. F,
-    the same sum over the past, needs rewards only. (If all F are equal, they are not scaled.) No
+    the same sum over the past, needs rewards only. (If all F are equal, rewards are not scaled.) No
     mean is subtracted: that would change what a long episode is worth. `F` is where to start from,
     (N,) or 0. Returns the scaled rewards, and the F to go on from.
     """
@@ -266,7 +266,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
 
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
-    averaged over states. With K = 1 the default limit, 0.03, is a move of μ by about σ/4; more
+    averaged over a minibatch. With K = 1 the default limit, 0.03, is a move of μ by about σ/4; more
     numbers share it. To let σ learn, make log σ a Parameter, do not fill it in step 1, put
     `old_pi.stddev` among the samples, and use torch.distributions.kl_divergence.
     """
@@ -340,8 +340,8 @@ def train(index, args, folder):
         # 6. Update the statistics, last.
         agent.obs_stats.update(batch.obs)
 
-        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Errors
-        # are the advantages. Blank if targets vary by less than a tenth of their mean.
+        # How well V predicts its targets (which contain V): 1 perfectly, 0 like a constant. Its
+        # errors are the advantages. Blank if targets vary by less than a tenth of their mean.
         unexplained = advantages.square().mean() / targets.var(correction=0)
         alike = targets.std(correction=0) < targets.mean().abs() / 10
         metrics["explained_variance"] = np.nan if alike else 1 - unexplained.item()

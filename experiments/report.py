@@ -32,4 +32,6 @@ def check():
 
 
 if __name__ == "__main__":
-    check() if sys.argv[1:] == ["--check"] else pages.write_tables(tables())
+    if sys.argv[1:] == ["--check"]:
+        check()
+    pages.write_tables(tables())

@@ -38,7 +38,8 @@ class Script(NamedTuple):
             self.args("--env-id", self.world(world)), count, **options)
 
     def agent(self, world, hidden_size=64):
-        (env,) = getattr(self.envs(world).unwrapped, "envs", [self.envs(world)])
+        envs = self.envs(world)
+        (env,) = getattr(envs.unwrapped, "envs", [envs])
         return self.module.Agent(env.observation_space, env.action_space, hidden_size)
 
     def train(self, folder, *options, seed=SEED + 3):
