@@ -12,9 +12,8 @@ import itertools
 import sys
 from pathlib import Path
 
-import compare
-import pages
 import pandas as pd
+import study
 import torch
 
 
@@ -45,14 +44,18 @@ def main(folders):
     finals = finals.groupby("setting", sort=False)  # in the order of the folders
     print(finals.agg(["count", "mean", "std", "min", "max"]).round(1).to_string())
     for (one, x), (other, y) in itertools.combinations(finals, 2):
-        gain, margin, p = compare.welch(y, x)
-        print(f"{other} − {one}: {gain:.5g}, 95%: {gain - margin:.5g} to {gain + margin:.5g}, "
-              f"p = {p:.3g}")
-    picture, (axis,) = pages.figure(11, 7)
+        gain, low, high, p = study.welch(y, x)
+        print(f"{other} − {one}: {gain:.5g}, 95%: {low:.5g} to {high:.5g}, p = {p:.3g}")
+    picture, (axis,) = study.figure(11, 7)
     step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
     logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
     for color, (setting, rows) in enumerate(logs.groupby("setting", sort=False)):
-        pages.curves(rows, "env_step", axis, y="eval_return", label=setting, color=f"C{color}")
+        for _, seed in rows.groupby("seed"):
+            axis.plot(seed["env_step"], seed["eval_return"], color=f"C{color}", lw=1, alpha=0.5)
+        axis.plot(rows.groupby("env_step")["eval_return"].mean(), color=f"C{color}", lw=3,
+                  label=setting)
+    axis.set(xlabel="environment steps", ylabel="return in evaluation")
+    axis.legend()
     path = Path(folders[0]).parent / "merged.png"
     picture.savefig(path)
     print(path)

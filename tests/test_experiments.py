@@ -1,14 +1,13 @@
 """experiments/: changes, blanks, statistics, merged runs, an agent trained in two processes."""
 
+import importlib
 import re
 import shlex
 import shutil
 import subprocess
 import sys
 
-import compare
 import merge
-import numpy as np
 import pandas as pd
 import pytest
 import study
@@ -51,10 +50,22 @@ def test_a_difference_is_welchs_and_holm_corrects_p():
     """In order: 0.005 < 0.05/4, 0.01 < 0.05/3, 0.03 > 0.05/2, so 0.04 < 0.05/1 is too late."""
     test = stats.ttest_ind([1, 2, 3], [2, 4, 6, 8], equal_var=False)
     low, high = test.confidence_interval()
-    found = compare.welch([1, 2, 3], [2, 4, 6, 8])
-    assert found == pytest.approx((-3, (high - low) / 2, test.pvalue))
-    assert compare.marked([0.01, 0.04, np.nan, 0.03, 0.005]) == [
-        "**0.01**", "0.04", "", "0.03", "**0.005**"]
+    found = study.welch([1, 2, 3], [2, 4, 6, 8])
+    assert found == pytest.approx((-3, low, high, test.pvalue))
+    assert study.holm([0.01, 0.04, 0.03, 0.005]).tolist() == [True, False, False, True]
+
+
+@pytest.mark.parametrize("name", [x for x in study.STUDIES if x != "peers"])
+def test_a_job_of_each_study_is_measured(name, monkeypatch):
+    """A short run, in which REINFORCE's variance is that of two batches."""
+    module = importlib.import_module(name)
+    job = module.JOBS[0]
+    short = job._replace(options=f"{job.options} --total-steps 256 --num-evals 1".strip())
+    monkeypatch.setattr(module, "BATCHES", 2, raising=False)
+    monkeypatch.setattr(module, "NOISE", short.options, raising=False)
+    row = study.measured(module.measure, short, "abc")
+    assert row["steps"] >= 256
+    assert row["curve"].endswith(f"{row['return']:.6g}")
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
