@@ -33,9 +33,6 @@ CHANGES = {
          "kl = torch.distributions.kl_divergence(old_policy, policy).sum(-1).mean()"),
         ("        agent.sigma.fill_(remaining * args.first_std + "
          "(1 - remaining) * args.last_std)\n", "")]),
-    "gradients-clipped": (PPO, [(
-        "loss_v).backward()  # each trains its own network\n",
-        "loss_v).backward()\n            nn.utils.clip_grad_norm_(agent.parameters(), 0.5)\n")]),
     "time-limits-as-deaths": (PPO, [(
         "next_values, batch.terminated, batch.done,", "next_values, batch.done, batch.done,")]),
     "fault-1": (PPO, [(
@@ -55,11 +52,7 @@ CHANGES = {
         ("(policy.log_prob(actions).sum(-1) - old_log_probs).exp()", "..."),
         ("(((policy.mean - old_means) / agent.sigma) ** 2).sum(-1).mean() / 2", "...")]),
 }
-CHANGES["like-sb3"] = PPO, [pair for name in ("sigma-learned", "no-tanh", "gradients-clipped")
-                            for pair in CHANGES[name][1]]
-CHANGES["like-cleanrl"] = PPO, [
-    *((old, new.replace("0.6", "1.0")) for old, new in CHANGES["like-sb3"][1]),  # the first σ
-    ("agent.parameters(), fused=True)", "agent.parameters(), eps=1e-5, fused=True)")]
+CHANGES["blank-gae-a2c"] = A2C, CHANGES["blank-gae"][1]
 
 
 def changed(file, name=""):

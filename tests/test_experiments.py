@@ -17,8 +17,10 @@ from harness import ROOT, read_log, run
 from scipy import stats
 
 SHEET = (ROOT / "docs/exercises.md").read_text(encoding="utf-8")
-BLANKS = list(zip(re.findall(r"^python (\S+variants.py) (blank\S+) (\S+)", SHEET, re.MULTILINE),
-                  re.findall(r"^python (-m pytest .*?) +# \d", SHEET, re.MULTILINE)))
+TESTS = {number: tests for tests, number in
+         re.findall(r"^python (-m pytest .*?) +# (\d)", SHEET, re.MULTILINE)}
+BLANKS = [(line.split(), TESTS[number]) for line, number in
+          re.findall(r"^python (\S+variants.py blank.*?) +# (\d)", SHEET, re.MULTILINE)]
 
 
 @pytest.mark.parametrize("name", [x for x in variants.CHANGES if "blank" not in x])
