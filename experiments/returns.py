@@ -94,7 +94,7 @@ def draw_tasks(of_task):
         if goal and goal < 1.25 * lines["return"].max():
             axis.axhline(goal, color="black", ls=":", lw=2, label="Gymnasium's threshold")
         if task in STANDING:
-            axis.axhline(STANDING[task], color="black", lw=1, label="standing still to the end")
+            axis.axhline(STANDING[task], color="black", lw=1, label="staying upright to the end")
         axis.set(title=task.removesuffix("-v5"), xlabel="million steps" * (i > 2),
                  ylabel="return" * (i % 3 == 0))
     lines = {label: line for axis in panels for line, label in zip(
