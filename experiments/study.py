@@ -86,7 +86,8 @@ def numbers(curve):
 
 
 def curves(rows):
-    """A line for each evaluation: `steps` and `return`."""
+    """A line for each evaluation, `steps` and `return`, of runs that have more than the last."""
+    rows = rows[rows["curve"].str.contains(" ", na=False)]
     lines = rows.assign(point=rows["curve"].str.split()).explode("point", ignore_index=True)
     lines[["steps", "return"]] = lines["point"].str.split(":", expand=True).astype(float)
     return lines
