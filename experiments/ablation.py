@@ -62,11 +62,12 @@ def draw(rows):
         for change, gain, low, high, _, holds in effect.drop(columns="task").itertuples():
             axis.plot([low, high], [change, change], color="C0", lw=2)
             axis.plot(gain, change, "o", color="C0", ms=9, mfc="C0" if holds else "white")
-            axis.text(108, change, number(gain), ha="right", va="center")
+            axis.text(42, change, number(gain), ha="right", va="center")
         axis.axvline(0, color="grey")
+        axis.grid(visible=False, axis="y")
         _, args = study.load(job)
         axis.set(title=f"{task}, {args.total_steps:,} steps", xlabel="change in return, %",
-                 xlim=(-105, 110))
+                 xlim=(-105, 45))
     picture.suptitle("What each detail is worth")
     return {}, {"ablation": picture}
 

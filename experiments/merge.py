@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pandas as pd
+import seaborn as sns
 import study
 import torch
 
@@ -47,15 +48,12 @@ def main(folders):
         gain, low, high, p = study.welch(y, x)
         print(f"{other} − {one}: {gain:.5g}, 95%: {low:.5g} to {high:.5g}, p = {p:.3g}")
     picture, (axis,) = study.figure(11, 7)
-    step = logs["env_step"].max() / 20  # seeds of REINFORCE are evaluated at different steps
-    logs = logs.assign(env_step=(logs["env_step"] / step).round() * step)
-    for color, (setting, rows) in enumerate(logs.groupby("setting", sort=False)):
-        for _, seed in rows.groupby("seed"):
-            axis.plot(seed["env_step"], seed["eval_return"], color=f"C{color}", lw=1, alpha=0.5)
-        axis.plot(rows.groupby("env_step")["eval_return"].mean(), color=f"C{color}", lw=3,
-                  label=setting)
-    axis.set(xlabel="environment steps", ylabel="return in evaluation")
-    axis.legend()
+    logs["evaluation"] = logs.groupby(["setting", "seed"]).cumcount()  # REINFORCE's steps differ
+    means = logs.groupby(["setting", "evaluation"])[["env_step", "eval_return"]].mean()
+    look = {"x": "env_step", "y": "eval_return", "hue": "setting",
+            "hue_order": list(logs["setting"].unique()), "ax": axis}
+    sns.lineplot(logs, **look, units="seed", estimator=None, lw=1, alpha=0.5, legend=False)
+    sns.lineplot(means, **look, lw=3)
     path = Path(folders[0]).parent / "merged.png"
     picture.savefig(path)
     print(path)

@@ -1,46 +1,42 @@
 """Ours against CleanRL and stable-baselines3 (sb3): returns after a million steps, and speed.
 
 sb3 (`pip install stable-baselines3==2.9.2`) with its defaults, with the settings of its zoo (its
-files hyperparams/ppo.yml and a2c.yml, as of 26 November 2026), and with the sizes of ours; PPO's
-observations and rewards are normalised by its `VecNormalize`. CleanRL's ppo_continuous_action.py,
-whose path is the environment variable CLEANRL, gets the one more argument that Gymnasium 1.x wants.
-Speeds want an idle machine: `python experiments/peers.py --only speed --workers 1`.
+file hyperparams/ppo.yml, as of 26 November 2026), and with the sizes of ours; observations and
+rewards are normalised by its `VecNormalize`. CleanRL's returns are rows of commit e64b293. Its
+speed wants `pip install tyro tensorboard`, the path of its ppo_continuous_action.py in CLEANRL, and
+an idle machine: `python experiments/peers.py --only speed --workers 1`.
 """
 
-import contextlib
-import io
 import os
+import re
+import subprocess
 import sys
+import tempfile
 import time
-from pathlib import Path
-from unittest import mock
 
 import gymnasium as gym
-import numpy as np
 import pandas as pd
 import returns
+import seaborn as sns
 import study
 import torch
 from study import Job, number, spread
-from variants import A2C, PPO
+from variants import PPO
 
-FILE, CLEANRL = "experiments/peers.py", os.environ.get("CLEANRL")
-LEARNERS = {  # the change of their rows: what pages call it, colour, dashes
-    "": ("ours", "C0", "-"), "CleanRL": ("CleanRL", "black", (0, (5, 1))),
-    "defaults": ("sb3 with VecNormalize", "C1", "--"), "zoo": ("sb3, zoo", "C2", ":"),
-    "our sizes": ("sb3, our sizes", "C4", "-.")}
+FILE = "experiments/peers.py"
+LEARNERS = {  # the change of their rows: what pages call it
+    "": "ours", "CleanRL": "CleanRL", "defaults": "sb3 with VecNormalize", "zoo": "sb3, zoo",
+    "our sizes": "sb3, our sizes"}
 SEEDS = {  # of sb3: the setting that was best after five seeds got five more; all count
     ("HalfCheetah-v5", "zoo"): 10, ("HalfCheetah-v5", "defaults"): 5,
     ("HalfCheetah-v5", "our sizes"): 5, ("Hopper-v5", "defaults"): 10, ("Hopper-v5", "zoo"): 5,
     ("Hopper-v5", "our sizes"): 5, ("Walker2d-v5", "our sizes"): 10, ("Walker2d-v5", "zoo"): 5,
     ("Walker2d-v5", "defaults"): 5, ("InvertedDoublePendulum-v5", "defaults"): 5}
 TASKS = list(dict.fromkeys(task for task, _ in SEEDS))
-RACES = {task: f"--env-id {task} --total-steps 32768" for task in (*TASKS, "LunarLander-v3")}
-JOBS = [*(Job(FILE, returns.of(task), change, seed) for (task, change), count in SEEDS.items()
-          for seed in range(1, count + 1)),
-        *(Job(FILE, returns.of(task), "CleanRL", seed) for task in TASKS
-          for seed in range(106, 111)),
-        *(Job(FILE, race, "speed", seed) for seed in range(1, 6) for race in RACES.values())]
+JOBS = [Job(FILE, returns.of(task), change, seed)
+        for (task, change), count in SEEDS.items() for seed in range(1, count + 1)]
+RACES = {task: f"--env-id {task} --total-steps 32768" for task in TASKS}
+JOBS += [Job(FILE, race, "speed", seed) for seed in range(1, 6) for race in RACES.values()]
 LEFT_OUT = "Hopper-v5", "zoo"  # ends near 1,000 in all five runs: not what the zoo publishes
 RELU = {"log_std_init": -2, "ortho_init": False, "activation_fn": torch.nn.ReLU,
         "net_arch": {"pi": [256, 256], "vf": [256, 256]}}
@@ -58,32 +54,11 @@ ZOO = {
         "learning_rate": 5.05041e-05, "clip_range": 0.1, "ent_coef": 0.000585045,
         "vf_coef": 0.871923, "max_grad_norm": 1},
 }
-OUR_SIZES = {"num_envs": 16, "n_steps": 128, "batch_size": 512,
-             "learning_rate": lambda left: 1e-3 * left}
-
-# --- stable-baselines3 ----------------------------------------------------------------------------
+OUR_SIZES = {"n_steps": 128, "batch_size": 512, "learning_rate": lambda left: 1e-3 * left}
 
 
-def make_sb3(task, setting, seed):
-    """A model that has not learned yet: A2C on LunarLander, else PPO."""
-    import stable_baselines3 as sb3
-    from stable_baselines3.common import env_util, vec_env
-
-    torch.set_num_threads(1)  # as ours
-    lands = task == "LunarLander-v3"
-    settings = {"defaults": {}, "zoo": ZOO.get(task),
-                "our sizes": {"num_envs": 8, "n_steps": 64} if lands else OUR_SIZES}[setting].copy()
-    # LunarLander would else simulate sparks, to draw them.
-    envs = env_util.make_vec_env(task, settings.pop("num_envs", 8 if lands else 1), seed,
-                                 env_kwargs={"render_mode": None})
-    if lands:
-        return sb3.A2C("MlpPolicy", envs, seed=seed, device="cpu", **settings)
-    envs = vec_env.VecNormalize(envs, gamma=settings.get("gamma", 0.99))
-    return sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu", **settings)
-
-
-class Sb3Agent:
-    """Looks like one of ours."""
+class Agent:
+    """An agent of sb3 that looks like one of ours."""
 
     def __init__(self, model):
         self.model = model
@@ -93,124 +68,61 @@ class Sb3Agent:
         return self.model.predict(seen, deterministic=deterministic)[0]
 
 
-def learn_sb3(job, args, evaluate):
-    """51 evaluations of five episodes; the return is the mean of the last three."""
-    model, rows = make_sb3(args.env_id, job.change, job.seed), []
-    envs, agent, start = gym.make_vec(args.env_id, 5), Sb3Agent(model), time.perf_counter()
+def make_sb3(task, setting, seed):
+    """A model that has not learned yet."""
+    import stable_baselines3 as sb3
+    from stable_baselines3.common import env_util, vec_env
 
-    def evaluation(*_, last=False):
-        if last or model.num_timesteps >= len(rows) * args.total_steps / 50:
+    torch.set_num_threads(1)  # as ours
+    settings = {"defaults": {}, "zoo": ZOO.get(task), "our sizes": OUR_SIZES}[setting]
+    envs = env_util.make_vec_env(task, 16 if setting == "our sizes" else 1, seed)
+    envs = vec_env.VecNormalize(envs, gamma=settings.get("gamma", 0.99))
+    return sb3.PPO("MlpPolicy", envs, seed=seed, device="cpu", **settings)
+
+
+def measure(job):
+    """Evaluations of five episodes, the first at once; the return is the mean of the last three."""
+    ours, args = study.load(Job(PPO, job.options, seed=job.seed))
+    if job.change == "speed":
+        return speeds(ours, args)
+    model, rows = make_sb3(args.env_id, job.change, job.seed), []
+    envs, start = gym.make_vec(args.env_id, 5), time.perf_counter()
+
+    def evaluate(*_):
+        if model.num_timesteps >= len(rows) * args.total_steps / 50:
             rows.append({"steps": model.num_timesteps, "seconds": time.perf_counter() - start,
-                         "return": evaluate(agent, envs, job.seed)})
+                         "return": ours.evaluate(Agent(model), envs, job.seed)})
         return True
 
-    model.learn(args.total_steps, callback=evaluation)
-    evaluation(last=True)
+    model.learn(args.total_steps, callback=evaluate)
     curve = pd.DataFrame(rows)
     return study.numbers(curve) | {"return": curve["return"].tail(3).mean()}
 
 
-def speed_of_sb3(args, setting):
-    model, start = make_sb3(args.env_id, setting, args.seed[0]), time.perf_counter()
-    model.learn(args.total_steps)
-    return model.num_timesteps / (time.perf_counter() - start)
-
-
-# --- CleanRL --------------------------------------------------------------------------------------
-
-
-def run_cleanrl(args, after_update=lambda script, step: None):
-    """Run its script, without tyro and TensorBoard; returns the steps a second that it logs last.
-
-    `after_update(script, step)` is called after each of its updates, with its global names.
-    """
-    torch.set_num_threads(1)
-    text, old = Path(CLEANRL).read_text("utf-8"), "lambda obs: np.clip(obs, -10, 10)"
-    if text.count(old) != 1:
-        raise ValueError(f"{CLEANRL}: {old!r} occurs {text.count(old)} times")
-    options = {"env_id": args.env_id, "total_timesteps": args.total_steps, "seed": args.seed[0],
-               "cuda": False}
-    script, speeds = {"__name__": "__main__", "__file__": CLEANRL}, []
-
-    def add_scalar(tag, value, step):
-        if tag == "charts/SPS":  # the last of an update
-            speeds.append(value)
-            after_update(script, step)
-
-    theirs = {"tyro": mock.Mock(cli=lambda Args: Args(**options)),
-              "torch.utils.tensorboard": mock.Mock(
-                  SummaryWriter=lambda _: mock.Mock(add_scalar=add_scalar))}
-    with mock.patch.dict(sys.modules, theirs), contextlib.redirect_stdout(io.StringIO()):
-        exec(compile(text.replace(old, f"{old}, env.observation_space"), CLEANRL, "exec"), script)
-    return speeds[-1]
-
-
-class CleanRLAgent:
-    """Looks like one of ours. Observations are normalised with the statistics of its training."""
-
-    def __init__(self, script):
-        self.actor_mean = script["agent"].actor_mean
-        (self.stats,) = script["envs"].get_attr("obs_rms")
-
-    @torch.no_grad()
-    def act(self, obs, deterministic):
-        seen = (obs - self.stats.mean) / np.sqrt(self.stats.var + 1e-8)
-        return self.actor_mean(torch.Tensor(seen.clip(-10, 10))).numpy()
-
-
-def learn_cleanrl(args, evaluate):
-    """Twenty evaluations of ten episodes, with mean actions, clipped to their bounds."""
-    envs, rows = gym.make_vec(args.env_id, 10, wrappers=[gym.wrappers.ClipAction]), []
-    start = time.perf_counter()
-
-    def after_update(script, step):
-        size = script["args"].batch_size
-        if 20 * (step // size) // (args.total_steps // size) > len(rows):
-            rows.append({"steps": step, "seconds": time.perf_counter() - start,
-                         "return": evaluate(CleanRLAgent(script), envs, args.seed[0])})
-
-    run_cleanrl(args, after_update)
-    return study.numbers(pd.DataFrame(rows))
-
-
-# --- Measured, and drawn --------------------------------------------------------------------------
-
-
-def measure(job):
-    script = A2C if "LunarLander" in job.options else PPO
-    ours, args = study.load(Job(script, job.options, seed=job.seed))
-    if job.change == "speed":
-        return speeds(ours, args)
-    if job.change == "CleanRL":
-        return learn_cleanrl(args, ours.evaluate)
-    return learn_sb3(job, args, ours.evaluate)
-
-
 def speeds(ours, args):
-    """Steps a second of each learner, one after the other; ours without evaluations."""
+    """Steps a second of each learner, one after the other; none is evaluated."""
     ours.evaluate = lambda *_: 0.0
-    log, _ = study.run(ours, args)
-    found = {"": (log["env_step"] / log["seconds"]).iloc[-1]}
-    if args.env_id != "LunarLander-v3":
-        found["CleanRL"] = run_cleanrl(args)
+    with tempfile.TemporaryDirectory() as folder:
+        ours.train(0, args, folder)
+        log = pd.read_csv(f"{folder}/seed-{args.seed[0]}.csv")
+        command = (f"{sys.executable} {os.environ['CLEANRL']} --env-id {args.env_id} --no-cuda "
+                   f"--total-timesteps {args.total_steps} --seed {args.seed[0]}")
+        out = subprocess.run(command.split(), cwd=folder, check=True, text=True,
+                             capture_output=True).stdout
+    found = {"": (log["env_step"] / log["seconds"]).iloc[-1],
+             "CleanRL": int(re.findall(r"SPS: (\d+)", out)[-1])}
     for setting in "defaults", "our sizes":
-        found[setting] = speed_of_sb3(args, setting)
-    return {f"speed of {LEARNERS[change][0]}": speed for change, speed in found.items()}
-
-
-def finals_of(rows):
-    """{(task, change): returns}, of ours, too."""
-    ours = study.read("returns")
-    runs = pd.concat([ours, rows]).groupby(["options", "change"])["return"]
-    return {(task, change): runs.get_group((returns.of(task), change)) for task in TASKS
-            for change in LEARNERS if (returns.of(task), change) in runs.groups}
+        model, start = make_sb3(args.env_id, setting, args.seed[0]), time.perf_counter()
+        model.learn(args.total_steps)
+        found[setting] = model.num_timesteps / (time.perf_counter() - start)
+    return {f"speed of {LEARNERS[change]}": speed for change, speed in found.items()}
 
 
 def returns_table(finals):
     """A line for each task; bold: significantly unlike ours, all comparisons corrected together."""
     tested = [x for x in finals if x[1] and x != LEFT_OUT]
     gains = {x: study.welch(finals[x[0], ""], finals[x]) for x in tested}
-    bold = dict(zip(tested, study.holm([gains[x].p for x in tested])))
+    bold = study.holm(pd.Series({x: gain.p for x, gain in gains.items()}))
     lines = []
     for task in TASKS:
         cells = []
@@ -219,9 +131,8 @@ def returns_table(finals):
             text = f"{spread(runs)} ({len(runs)})" if len(runs) else "–"
             cells.append(f"**{text}**" if bold.get((task, change)) else text)
         best = max((x for x in tested if x[0] == task), key=lambda x: finals[x].mean())
-        lines.append([task, *cells, f"{gains[best]}"])
-    names = [name for name, *_ in LEARNERS.values()]
-    return study.table(["task", *names, "ours − best peer, 95%"], lines)
+        lines.append([task, *cells, gains[best]])
+    return study.table(["task", *LEARNERS.values(), "ours − best peer, 95%"], lines)
 
 
 def speed_table(rows):
@@ -229,10 +140,9 @@ def speed_table(rows):
     lines = []
     for task, race in RACES.items():
         turns = rows[(rows["options"] == race) & (rows["change"] == "speed")]
-        ours = turns["speed of ours"]
-        cells = []
+        ours, cells = turns["speed of ours"], []
         for change in "CleanRL", "defaults", "our sizes":
-            ratios = ours / turns[f"speed of {LEARNERS[change][0]}"]
+            ratios = ours / turns[f"speed of {LEARNERS[change]}"]
             low, middle, high = (number(x, 1) for x in ratios.quantile([0, 0.5, 1]))
             cells.append(f"{middle} ({low} to {high})" if ratios.notna().any() else "–")
         lines.append([task, number(ours.median()), *cells])
@@ -240,30 +150,27 @@ def speed_table(rows):
                         "÷ sb3, our sizes"], lines)
 
 
-def draw_race(rows):
-    """Means of seeds, and bands of a standard deviation, in steps of 50,000."""
-    picture, panels = study.figure(13, 9, 2, 2)
-    lines = study.curves(pd.concat([study.read("returns"), rows[rows["change"] != "speed"]]))
-    lines["million"] = (lines["steps"] / 50_000).round() / 20
-    for i, (axis, task) in enumerate(zip(panels, TASKS)):
-        for change, (name, color, dashes) in LEARNERS.items():
-            runs = lines[(lines["options"] == returns.of(task)) & (lines["change"] == change)]
-            if (task, change) == LEFT_OUT or runs.empty:
-                continue
-            seeds = runs.groupby(["million", "seed"])["return"].mean().unstack()
-            mean, std = seeds.mean(axis="columns"), seeds.std(axis="columns")
-            axis.plot(mean, color=color, ls=dashes, lw=3, label=name)
-            axis.fill_between(mean.index, mean - std, mean + std, color=color, alpha=0.12, lw=0)
-        axis.set(title=task.removesuffix("-v5"), xlabel="million steps" * (i > 1),
-                 ylabel="return" * (i % 2 == 0))
-    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    picture.suptitle("Our PPO and peers': mean and standard deviation of seeds")
-    return picture
+def draw_race(runs):
+    """Means of seeds, in steps of 50,000."""
+    lines = study.curves(runs)
+    lines["million steps"] = (lines["steps"] / 50_000).round() / 20
+    lines["learner"] = lines["change"].map(LEARNERS)
+    names = list(LEARNERS.values())
+    grid = sns.relplot(lines, x="million steps", y="return", hue="learner", style="learner",
+                       hue_order=names, style_order=names, col="task", col_order=TASKS,
+                       col_wrap=2, kind="line", errorbar=None, lw=3, height=4.5, aspect=1.3,
+                       facet_kws={"sharey": False})
+    return grid.set_titles("{col_name}")
 
 
 def draw(rows):
-    return ({"peers": returns_table(finals_of(rows)), "speed": speed_table(rows)},
-            {"ppo_race": draw_race(rows)})
+    runs = pd.concat([study.read("returns"), rows])
+    runs["task"] = runs["options"].map({returns.of(task): task for task in TASKS})
+    runs = runs.dropna(subset="task")
+    finals = dict(list(runs.groupby(["task", "change"])["return"]))
+    left_out = (runs["task"] == LEFT_OUT[0]) & (runs["change"] == LEFT_OUT[1])
+    tables = {"peers": returns_table(finals), "speed": speed_table(rows)}
+    return tables, {"ppo_race": draw_race(runs[~left_out])}
 
 
 if __name__ == "__main__":

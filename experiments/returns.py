@@ -1,123 +1,87 @@
 """How high do the returns get, and how often does a run fail?
 
-The three scripts with their defaults, and PPO with the same options on ten tasks.
+The three scripts with their defaults, PPO with the same options on ten tasks, the guide's settings.
 """
 
 import gymnasium as gym
+import seaborn as sns
 import study
 from study import Job, number, spread
 from variants import A2C, PPO, REINFORCE
 
 FIRST_SEED = 101
+HUNDRED = "--eval-episodes 100 --num-evals 1"  # defaults train the same, but end with 100 episodes
 DEFAULTS = {REINFORCE: 20, A2C: 30, PPO: 20}  # seeds
 TASKS = {"HalfCheetah-v5": 20, "Hopper-v5": 20, "Walker2d-v5": 20, "InvertedDoublePendulum-v5": 20,
          "Ant-v5": 10, "Humanoid-v5": 10, "InvertedPendulum-v5": 10, "Pusher-v5": 10,
          "Reacher-v5": 10, "Swimmer-v5": 10}
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", "Swimmer-v5"
-STANDING = {"Ant-v5": 1000, "Hopper-v5": 1000, "Walker2d-v5": 1000, "Humanoid-v5": 5000}
-SETTINGS = {  # of the guide
+SETTINGS = (  # of the guide
     "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512 "
-    "--first-std 1": 5,
-    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.9999": 5,
-    "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2": 5}
+    "--first-std 1",
+    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.9999",
+    "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2")
 
 
 def of(task):
     return f"--env-id {task} --total-steps 1e6"
 
 
-COUNTS = {**{(script, ""): count for script, count in DEFAULTS.items()},
-          **{(PPO, of(task)): count for task, count in TASKS.items()},
-          **{(PPO, options): count for options, count in SETTINGS.items()}}
+COUNTS = {(script, HUNDRED): count for script, count in DEFAULTS.items()}
+COUNTS |= {(PPO, of(task)): count for task, count in TASKS.items()}
+COUNTS |= {(PPO, options): 5 for options in SETTINGS}
 JOBS = [Job(*plan, seed=FIRST_SEED + i) for plan, count in COUNTS.items() for i in range(count)]
 
 
 def measure(job):
-    """The default runs' agents play a hundred episodes, the others' ten, as in training."""
-    row, weights = study.train(job)
-    if not job.options:
-        row["return"] = hundred_episodes(job, weights)
-    return row
+    return study.train(job)[0]
 
 
-def hundred_episodes(job, weights, options=""):
-    """The mean return of an agent, from starts that no training saw."""
-    module, args = study.load(job._replace(options=options))
-    envs = (module.make_env(args.env_id) if job.script == REINFORCE
-            else module.make_envs(args, 100))
-    space = [getattr(envs, f"single_{x}", getattr(envs, x)) for x in ("observation_space",
-                                                                       "action_space")]
-    agent = module.Agent(*space, args.hidden_size)
-    agent.load_state_dict(weights)
-    count = [100] if job.script == REINFORCE else []
-    return module.evaluate(agent, envs, job.seed, *count)
-
-
-def solved(task, returns):
-    """How many reach Gymnasium's threshold, if the task has one."""
-    goal = gym.spec(task).reward_threshold
-    if goal is None:
-        return "–"
-    return f"{sum(returns >= goal)} of {len(returns)} ≥ {goal:,g}".replace("-", "−")
-
-
-def default_line(script, runs):
-    _, args = study.load(Job(script))
-    return [f"`{script}`", args.env_id, f"{args.total_steps:,}", len(runs), spread(runs["return"]),
-            number(runs["return"].min()), solved(args.env_id, runs["return"]),
-            number(runs["seconds"].median())]
-
-
-def task_line(task, runs):
-    returns = runs["return"]
+def summary(task, runs):
+    """The cells of a line; how many reach Gymnasium's threshold, if the task has one."""
+    returns, goal = runs["return"], gym.spec(task).reward_threshold
     digits = int(abs(returns.mean()) < 100)
-    return [task, len(runs), spread(returns, digits),
-            " to ".join(number(x, digits) for x in (returns.min(), returns.max())),
-            solved(task, returns), number(runs["seconds"].median() / 60, 1)]
-
-
-def setting_line(options, runs):
-    script = runs["script"].iloc[0]
-    return [f"`python {script} {options}`", spread(runs["return"]), number(runs["return"].min()),
+    solved = "–"
+    if goal is not None:
+        solved = f"{sum(returns >= goal)} of {len(runs)} ≥ {goal:,g}".replace("-", "−")
+    return [len(runs), spread(returns, digits), number(returns.min(), digits), solved,
             number(runs["seconds"].median() / 60, 1)]
 
 
-def draw_tasks(of_task):
-    picture, panels = study.figure(11, 8, 2, 3)
-    for i, (axis, task) in enumerate(zip(panels, PANELS)):
-        lines = study.curves(of_task[task])
-        for _, seed in lines.groupby("seed"):
-            axis.plot(seed["steps"] / 1e6, seed["return"], color="C0", lw=0.8, alpha=0.5)
-        axis.plot(lines.groupby("steps")["return"].mean().rename(lambda x: x / 1e6), color="C0",
-                  lw=4)
+def draw_tasks(runs):
+    lines = study.curves(runs)
+    lines["million steps"] = lines["steps"] / 1e6
+    grid = sns.FacetGrid(lines, col="task", col_order=PANELS, col_wrap=3, sharey=False, height=4)
+    look = {"x": "million steps", "y": "return", "color": "C0"}
+    grid.map_dataframe(sns.lineplot, **look, units="seed", estimator=None, lw=0.8, alpha=0.5)
+    grid.map_dataframe(sns.lineplot, **look, errorbar=None, lw=4)
+    for task, axis in grid.axes_dict.items():
         goal = gym.spec(task).reward_threshold
-        if goal and goal < 1.25 * lines["return"].max():
-            axis.axhline(goal, color="black", ls=":", lw=2, label="Gymnasium's threshold")
-        if task in STANDING:
-            axis.axhline(STANDING[task], color="black", lw=1, label="staying upright to the end")
-        axis.set(title=task.removesuffix("-v5"), xlabel="million steps" * (i > 2),
-                 ylabel="return" * (i % 3 == 0))
-    lines = {label: line for axis in panels for line, label in zip(
-        *axis.get_legend_handles_labels())}
-    picture.legend(lines.values(), lines.keys(), loc="outside lower center", ncols=2)
-    picture.suptitle("PPO on six tasks: every seed, and their mean")
-    return picture
+        if goal and goal < 1.25 * axis.get_ylim()[1]:
+            axis.axhline(goal, color="black", ls=":", lw=2)
+    return grid.set_titles("{col_name}")
 
 
 def draw(rows):
     runs = dict(list(rows.groupby(["script", "options"])))
-    of_task = {task: runs[PPO, of(task)] for task in TASKS}
-    tables = {
-        "defaults": study.table(
-            ["file", "task", "steps", "seeds", "mean ± std", "lowest", "solved", "seconds"],
-            [default_line(script, runs[script, ""]) for script in DEFAULTS]),
-        "tasks": study.table(
-            ["task", "seeds", "mean ± std", "range", "at Gymnasium's threshold", "minutes"],
-            [task_line(*x) for x in of_task.items()]),
-        "settings": study.table(["command", "mean ± std", "lowest", "minutes"],
-                                [setting_line(x, runs[PPO, x]) for x in SETTINGS
-                                 if (PPO, x) in runs])}
-    return tables, {"ppo_returns": draw_tasks(of_task)}
+    columns = ["seeds", "mean ± std", "lowest", "at Gymnasium's threshold", "minutes"]
+    defaults, tasks, settings = [], [], []
+    for script in DEFAULTS:
+        args = study.load(Job(script))[1]
+        defaults.append([f"`{script}`", args.env_id, f"{args.total_steps:,}",
+                         *summary(args.env_id, runs[script, HUNDRED])])
+    for task in TASKS:
+        tasks.append([task, *summary(task, runs[PPO, of(task)])])
+    for options in SETTINGS:
+        task = options.split()[1]
+        if (PPO, options) not in runs:
+            continue
+        settings.append([f"`python {PPO} {options}`", *summary(task, runs[PPO, options])])
+    tables = {"defaults": study.table(["file", "task", "steps", *columns], defaults),
+              "tasks": study.table(["task", *columns], tasks),
+              "settings": study.table(["command", *columns], settings)}
+    rows = rows.assign(task=rows["options"].map({of(task): task for task in TASKS}))
+    return tables, {"ppo_returns": draw_tasks(rows.dropna(subset="task"))}
 
 
 if __name__ == "__main__":

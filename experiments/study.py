@@ -5,7 +5,6 @@ its tables {name: Markdown} and its figures {name: Figure}.
 
     python experiments/STUDY.py                measures what experiments/data/STUDY.csv lacks, draws
     python experiments/STUDY.py --only Hopper  measures only jobs whose text contains this
-    python experiments/STUDY.py --again        measures rows of other commits of the script anew
     python experiments/study.py                draws all tables and figures, from the data alone
     python experiments/study.py --check        fails if a table of the pages is not that of the data
 """
@@ -20,8 +19,7 @@ import re
 import subprocess
 import sys
 import tempfile
-import traceback
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -37,6 +35,7 @@ from variants import ROOT
 
 DATA = ROOT / "experiments/data"
 STUDIES = "returns", "peers", "ablation", "baselines", "randomize"
+sns.set_theme("talk", "whitegrid", "colorblind", font_scale=0.85)
 
 # --- Jobs and their rows --------------------------------------------------------------------------
 
@@ -62,20 +61,15 @@ def load(job):
     return module, module.parse_args(f"{job.options} --seed {job.seed}".split())
 
 
-def run(module, args):
-    """Train one agent; its log and its weights."""
-    with tempfile.TemporaryDirectory() as folder:
-        module.train(0, args, folder)
-        path = f"{folder}/seed-{args.seed[0]}"
-        saved = module.torch.load(f"{path}.pt", weights_only=True)
-        return pd.read_csv(f"{path}.csv"), saved["agent"]
-
-
 def train(job):
     """The numbers of a training, and the agent's weights."""
-    log, weights = run(*load(job))
+    module, args = load(job)
+    with tempfile.TemporaryDirectory() as folder:
+        module.train(0, args, folder)
+        log = pd.read_csv(f"{folder}/seed-{job.seed}.csv")
+        saved = module.torch.load(f"{folder}/seed-{job.seed}.pt", weights_only=True)
     curve = log.rename(columns={"env_step": "steps", "return": "sampled", "eval_return": "return"})
-    return numbers(curve.dropna(subset="return")), weights
+    return numbers(curve.dropna(subset="return")), saved["agent"]
 
 
 def numbers(curve):
@@ -106,59 +100,42 @@ def keys(rows):
 
 
 def commit_of(script):
-    """The last commit of a script; exits if it has been changed since."""
+    """The last commit of a script, which must not have been changed since."""
     def git(*command):
         return subprocess.run(["git", *command, "--", script], cwd=ROOT, text=True, check=True,
                               capture_output=True).stdout.strip()
 
     if git("status", "--porcelain"):
-        sys.exit(f"not measured, as it is not committed yet: {script}")
+        raise ValueError(f"not measured, as it is not committed yet: {script}")
     return git("log", "-1", "--format=%h")
 
 
-def measured(measure, job, commit):
+def measured(measure, job):
     """A row: the job, where the numbers come from, and the numbers."""
+    commit = commit_of(job.script)  # before each job: a study may run for days
     cpuinfo = Path("/proc/cpuinfo")  # where Linux names the processor
     model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
-    found = measure(job)
-    packages = "torch", "gymnasium", "mujoco", *{"stable_baselines3"}.intersection(sys.modules)
-    versions = {package: importlib.metadata.version(package) for package in packages}
     processor = model[1] if model else platform.processor() or platform.machine()
-    return {**job._asdict(), "commit": commit, "processor": processor, **versions, **found}
+    versions = {name: importlib.metadata.version(name) for name in ("torch", "gymnasium", "mujoco")}
+    return {**job._asdict(), "commit": commit, "processor": processor, **versions, **measure(job)}
 
 
 def main(name, jobs, measure):
     """Measure the jobs that lack a row, each kept as soon as it is done; then draw."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--only", default="", metavar="TEXT", help="jobs that contain it")
-    parser.add_argument("--again", action="store_true", help="rows of other commits, too")
     parser.add_argument("--workers", type=int, default=os.cpu_count(), help="at a time")
     args = parser.parse_args()
-    rows = read(name)
-    commits = {script: commit_of(script) for script in {job.script for job in jobs}}
-    if args.again:
-        rows = rows[rows["commit"] == rows["script"].map(commits)]
-    done = set(keys(rows))
+    done = keys(read(name))
     lacking = [job for job in jobs if job not in done and args.only in " ".join(map(str, job))]
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(args.workers, spawn) as processes:
-        futures = {processes.submit(measured, measure, job, commits[job.script]): job
-                   for job in lacking}
-        try:
-            for future in tqdm(as_completed(futures), desc=name, total=len(futures)):
-                if future.exception():  # the others go on
-                    print(futures[future], *traceback.format_exception(future.exception()))
-                    continue
-                rows = pd.concat([read(name), pd.DataFrame([future.result()])])
-                rows = rows.drop_duplicates(KEYS, keep="last").sort_values(KEYS)
-                rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.10g")
-        finally:  # after Ctrl-C, too
-            processes.shutdown(cancel_futures=True)
-    missing = set(jobs) - set(keys(read(name)))
-    if missing:
-        sys.exit(f"not drawn, as {len(missing)} jobs have no row yet")
-    report([name])
+    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
+        new = pool.imap_unordered(partial(measured, measure), lacking)
+        for row in tqdm(new, name, len(lacking)):
+            rows = pd.concat([read(name), pd.DataFrame([row])]).sort_values(KEYS)
+            rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.10g")
+    if set(jobs) <= set(keys(read(name))):
+        report([name])
 
 
 # --- Statistics -----------------------------------------------------------------------------------
@@ -189,9 +166,10 @@ def paired(gains):
 
 
 def holm(p_values, level=0.05):
-    """Which p-values stay below the level when corrected for their number (Holm 1979)."""
-    passes = np.sort(p_values) <= level / np.arange(len(p_values), 0, -1)
-    return np.logical_and.accumulate(passes)[np.argsort(np.argsort(p_values))]
+    """Which p-values, a Series, stay below the level when corrected for their number (Holm)."""
+    p = p_values.sort_values()
+    corrected = (p * np.arange(len(p), 0, -1)).cummax()
+    return corrected.reindex(p_values.index) <= level
 
 
 def number(value, digits=0):
@@ -214,28 +192,30 @@ def table(header, lines):
 
 def figure(width, height, rows=1, columns=1, **options):
     """A picture and its panels."""
-    sns.set_theme("talk", "whitegrid", "colorblind", font_scale=0.85)
     picture = Figure(figsize=(width, height), layout="constrained")
     return picture, picture.subplots(rows, columns, squeeze=False, **options).ravel()
-
-
-def pages():
-    return [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("experiments/data/*.md")]
 
 
 def report(names=STUDIES, check=False):
     """Put each table into the pages, below its `<!-- NAME -->`; save the figures."""
     tables, figures = {}, {}
     for name in names:
-        for found, new in zip((tables, figures), importlib.import_module(name).draw(read(name))):
-            found |= new
-    for page in pages():
+        new_tables, new_figures = importlib.import_module(name).draw(read(name))
+        tables |= new_tables
+        figures |= new_figures
+    unused = set(tables)
+    for page in [ROOT / "README.md", *ROOT.glob("docs/*.md")]:
         old = new = page.read_text("utf-8")
         for name, lines in tables.items():
-            new = re.sub(rf"(<!-- {name} -->\n\n)(\|.*\n)+", rf"\g<1>{lines}", new)
+            new, count = re.subn(rf"(<!-- {name} -->\n\n)(\|.*\n)+", rf"\g<1>{lines}", new)
+            if count:
+                unused.discard(name)
         if check and new != old:
             sys.exit(f"{page}: a table is not that of the data; run experiments/study.py")
-        page.write_text(new, encoding="utf-8")
+        if new != old:
+            page.write_text(new, encoding="utf-8")
+    if unused:
+        sys.exit(f"no page has a place for {unused}")
     if check:
         return
     for name, picture in figures.items():

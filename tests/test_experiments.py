@@ -54,7 +54,7 @@ def test_a_difference_is_welchs_and_holm_corrects_p():
     low, high = test.confidence_interval()
     found = study.welch([1, 2, 3], [2, 4, 6, 8])
     assert found == pytest.approx((-3, low, high, test.pvalue))
-    assert study.holm([0.01, 0.04, 0.03, 0.005]).tolist() == [True, False, False, True]
+    assert study.holm(pd.Series([0.01, 0.04, 0.03, 0.005])).tolist() == [True, False, False, True]
 
 
 @pytest.mark.parametrize("name", [x for x in study.STUDIES if x != "peers"])
@@ -65,7 +65,7 @@ def test_a_job_of_each_study_is_measured(name, monkeypatch):
     short = job._replace(options=f"{job.options} --total-steps 256 --num-evals 1".strip())
     monkeypatch.setattr(module, "BATCHES", 2, raising=False)
     monkeypatch.setattr(module, "NOISE", short.options, raising=False)
-    row = study.measured(module.measure, short, "abc")
+    row = study.measured(module.measure, short)
     assert row["steps"] >= 256
     assert row["curve"].endswith(f"{row['return']:.6g}")
 
