@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pandas as pd
+import torch
 from gymnasium.spaces import Box, Discrete
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,15 +104,20 @@ class Uneven(World):
         return float(action.sum())
 
 
+def length(world, drawn):
+    """How many steps an episode has, by its world and the numbers drawn for it."""
+    return {"Forever": 8, "Uneven": torch.where(drawn > 0, 7, 3)}.get(world, 3)
+
+
 def register(name, world=World, limit=None, **kwargs):
     """Register a world twice: name-v0, and Discretename-v0 with the actions 0, 1 and 2."""
     for prefix, actions in ("", ACTIONS), ("Discrete", Discrete(3)):
-        if f"{prefix}{name}-v0" not in gym.registry:
-            gym.register(f"{prefix}{name}-v0", world, max_episode_steps=limit,
-                         kwargs={"actions": actions, **kwargs})
+        gym.register(f"{prefix}{name}-v0", world, max_episode_steps=limit,
+                     kwargs={"actions": actions, **kwargs})
 
 
 register("ThreeSteps")
 register("Forever", limit=8, length=None)  # never ends, but for the time limit
 register("BothEnds", limit=3)  # terminated and truncated in the same step
 register("Uneven", Uneven)
+register("Cut", Uneven, limit=5)  # terminated after 3 steps, or truncated after 5

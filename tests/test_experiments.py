@@ -14,7 +14,6 @@ import study
 import variants
 from conftest import SCRIPTS
 from harness import ROOT, read_log, run
-from scipy import stats
 
 SHEET = (ROOT / "docs/exercises.md").read_text(encoding="utf-8")
 TESTS = {number: tests for tests, number in
@@ -48,12 +47,8 @@ def test_a_blank_makes_the_tests_of_its_exercise_red(blank, tests, tmp_path):
     assert "error" not in out.splitlines()[-1]
 
 
-def test_a_difference_is_welchs_and_holm_corrects_p():
+def test_holm_stops_at_the_first_p_that_is_too_large():
     """In order: 0.005 < 0.05/4, 0.01 < 0.05/3, 0.03 > 0.05/2, so 0.04 < 0.05/1 is too late."""
-    test = stats.ttest_ind([1, 2, 3], [2, 4, 6, 8], equal_var=False)
-    low, high = test.confidence_interval()
-    found = study.welch([1, 2, 3], [2, 4, 6, 8])
-    assert found == pytest.approx((-3, low, high, test.pvalue))
     assert study.holm(pd.Series([0.01, 0.04, 0.03, 0.005])).tolist() == [True, False, False, True]
 
 
@@ -72,7 +67,7 @@ def test_a_job_of_each_study_is_measured(name, monkeypatch):
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
     """Two seeds of 512 steps, two of 256."""
-    for seed, steps, final in (3, 512, 10), (4, 512, 12), (3, 256, 3), (4, 256, 5):
+    for seed, steps, final in (3, 512, 10), (4, 512, 12), (3, 256, 2), (4, 256, 6):
         folder = tmp_path / f"Pendulum__ppo_continuous__{steps}{seed}"
         path = SCRIPTS["ppo_continuous"].train(folder, "--total-steps", steps, seed=seed)
         log = pd.read_csv(f"{path}.csv")
@@ -81,7 +76,7 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
     merge.main(sorted(tmp_path.iterdir(), reverse=True))
     out = capsys.readouterr().out
     assert re.search(r"^total_steps 256 +2 +4\.0 ", out, re.MULTILINE)
-    assert "total_steps 256 − total_steps 512: -7, 95%: -" in out
+    assert "total_steps 256 − total_steps 512: -7, 95%: -20.837 to" in out  # df 25/17
     assert (tmp_path / "merged.png").exists()
 
 

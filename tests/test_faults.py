@@ -15,31 +15,24 @@ from harness import ACTIONS, World, read_log, register, spy
 class Bits(World):
     """Shows two bits, which every dtype can, and pays what float16 can, but cannot add up."""
 
-    def __init__(self, look=np.float32, pay=float, dtype=np.float32, **kwargs):
+    def __init__(self, look=np.copy, pay=float, dtype=np.float32, **kwargs):
         super().__init__(observations=Box(0, 1, (2,), dtype), **kwargs)
-        self.look, self.pay, self.shown = look, pay, np.zeros(2, np.float32)
+        self.look, self.pay, self.shown = look, pay, np.zeros(2, dtype)
 
     def observe(self):
-        return self.look([self.steps % 2, self.episode > 0])
+        self.shown[:] = self.steps % 2, self.episode > 0
+        return self.look(self.shown)
 
     def reward(self, action):
         return self.pay(1000.5 - self.steps)
 
 
-class SameArray(Bits):
-    """Returns one and the same array at every step, with new numbers in it."""
-
-    def observe(self):
-        self.shown[:] = super().observe()
-        return self.shown
-
-
 register("Bits", Bits)
-register("SameArray", SameArray)
+register("SameArray", Bits, look=np.asarray)  # with new numbers in it at every step
 register("Float16Rewards", Bits, pay=np.float16)
-register("Backwards", Bits, look=lambda bits: np.float32(bits[::-1])[::-1])
-register("Bytes", Bits, look=np.uint8, dtype=np.uint8)
-register("Doubles", Bits, look=np.float64, dtype=np.float64)
+register("Backwards", Bits, look=lambda bits: bits[::-1].copy()[::-1])
+register("Bytes", Bits, dtype=np.uint8)
+register("Doubles", Bits, dtype=np.float64)
 gym.registry["Doubles-v0"].kwargs["actions"] = Box(
     np.float64(ACTIONS.low), np.float64(ACTIONS.high), dtype=np.float64)
 
@@ -57,18 +50,6 @@ def test_the_same_numbers_train_the_same_agent_however_they_are_handed_over(scri
         other_agent, other_log = learn(name)
         torch.testing.assert_close(other_agent, agent, rtol=0, atol=0, msg=name)
         pd.testing.assert_frame_equal(other_log, log, check_exact=True, obj=name)
-
-
-@pytest.mark.filterwarnings("ignore:.*observation space:UserWarning")
-@pytest.mark.parametrize(("method", "place"), [
-    ("observe", (0, 0)), ("observe", (2, 2)), ("observe", (3, 0)), ("reward", (2, 2))])
-def test_what_is_not_a_number_ends_a_training(script, method, place, monkeypatch, tmp_path):
-    """PyTorch sees it, at the latest when the next action is drawn."""
-    usual = getattr(World, method)
-    monkeypatch.setattr(World, method, lambda world, *action: usual(world, *action) + (
-        np.nan if (world.total, world.steps) == place else 0))
-    with pytest.raises(ValueError, match="invalid values"):
-        script.train(tmp_path, "--env-id", script.world("ThreeSteps"), "--num-evals", 1)
 
 
 register("Long", length=1200)
@@ -104,11 +85,9 @@ def test_a_run_is_where_the_user_stood_and_closes_what_it_opened(
         script, call, tmp_path, monkeypatch):
     opened = spy(monkeypatch, World, "__init__", lambda world, **_: world)
     closed = spy(monkeypatch, World, "close", lambda world: world)
-    out = call(script, "--env-id", script.world("Elsewhere", "test_faults"), *script.small.split(),
-               "--out-dir", "mine")
+    call(script, "--env-id", script.world("Elsewhere", "test_faults"), *script.small.split(),
+         "--out-dir", "mine")
     (folder,) = (tmp_path / "mine").iterdir()
     assert folder.name.startswith("test_faults-")  # no colon, which Windows does not allow
-    assert out.splitlines()[0] == str(folder)
-    assert len(list(folder.iterdir())) == 3
     assert len(opened) >= 3
     assert set(opened) == set(closed)

@@ -29,55 +29,39 @@ register("Drawn", Drawn)
 
 
 def test_every_option_has_an_effect(script, tmp_path):
-    """On the log, and is saved."""
     options, env = {**VECTORS, **OTHERS[script.name]}, script.world("Drawn", "test_wiring")
     usual = read_log(script.train(tmp_path, "--env-id", env))
     for name in set(vars(script.args())) - ELSEWHERE:
         flag, value = f"--{name.replace('_', '-')}", options[name]
         seed = {"seed": value} if name == "seed" else {}
-        path = script.train(tmp_path, "--env-id", env, flag, value, **seed)
-        assert not read_log(path).equals(usual), f"{flag} has no effect"
-        saved = torch.load(f"{path}.pt", weights_only=True)["options"]
-        assert saved[name] == ([value] if name == "seed" else value)
-
-
-def train_short(script, monkeypatch, tmp_path):
-    """A log, the share of steps that was left as each update began, and of each its optimiser's
-
-    learning rates, σ, and keyword arguments. (Rollouts are not cut short, so 120 steps for 100.)
-    """
-    def keep(agent, optimizer, *_, **options):
-        assert type(optimizer) is torch.optim.Adam
-        assert {id(x) for x in agent.parameters()} == {
-            id(x) for group in optimizer.param_groups for x in group["params"]}
-        assert not any(group["weight_decay"] for group in optimizer.param_groups)
-        rates = {group["lr"] for group in optimizer.param_groups}
-        return rates, agent.sigma.tolist() if hasattr(agent, "sigma") else [], options
-
-    updates = spy(monkeypatch, script.module, "optimise", keep)
-    sizes = "--batch-episodes", 2
-    if script.name != "reinforce_mujoco":
-        sizes = "--num-envs", 4, "--rollout-steps", 6
-    path = script.train(tmp_path, "--env-id", script.world("Uneven"), "--total-steps", 100,
-                        "--num-evals", 3, "--learning-rate", 0.003, *sizes)
-    log, total = read_log(path), 100 if script.name == "reinforce_mujoco" else 120
-    return path, log, 1 - np.array([0, *log["env_step"][:-1]]) / total, updates
+        log = read_log(script.train(tmp_path, "--env-id", env, flag, value, **seed))
+        assert not log.equals(usual), f"{flag} has no effect"
 
 
 def test_rates_fall_linearly_and_the_last_agent_is_evaluated(script, monkeypatch, tmp_path):
-    path, log, left, updates = train_short(script, monkeypatch, tmp_path)
-    rates = [rate for (rate,), *_ in updates]
+    """Rollouts are not cut short, so A2C and PPO take 120 steps for 100."""
+    def keep(agent, optimizer, *_, **options):
+        (group,) = optimizer.param_groups
+        assert {id(x) for x in group["params"]} == {id(x) for x in agent.parameters()}
+        sigma = agent.sigma.tolist() if script.name == "ppo_continuous" else None
+        return group["lr"], options.get("entropy_coef"), sigma
+
+    updates = spy(monkeypatch, script.module, "optimise", keep)
+    whole = script.name == "reinforce_mujoco"  # episodes
+    sizes = ["--batch-episodes", 2] if whole else ["--num-envs", 4, "--rollout-steps", 6]
+    path = script.train(tmp_path, "--env-id", script.world("Uneven"), "--total-steps", 100,
+                        "--num-evals", 3, "--learning-rate", 0.003, *sizes)
+    log, (rates, entropy_coefs, sigmas) = read_log(path), zip(*updates)
+    steps, evaluated = log["env_step"], np.flatnonzero(log["eval_return"].notna()).tolist()
+    left = 1 - np.array([0, *steps[:-1]]) / (100 if whole else 120)
     np.testing.assert_allclose(rates, 0.003 * left, rtol=1e-6)
     if script.name == "a2c_vector":
-        entropy_coefs = [options["entropy_coef"] for *_, options in updates]
         np.testing.assert_allclose(entropy_coefs, 0.01 * left, rtol=1e-6)
     if script.name == "ppo_continuous":
-        sigmas = [sigma for _, sigma, _ in updates]
         np.testing.assert_allclose(sigmas, np.repeat(0.2 + 0.4 * left[:, None], 2, 1), rtol=1e-5)
         saved = torch.load(f"{path}.pt", weights_only=True)["agent"]["sigma"]
         assert saved.tolist() == sigmas[-1]
-    steps, evaluated = log["env_step"], np.flatnonzero(log["eval_return"].notna()).tolist()
-    if script.name == "reinforce_mujoco":  # after the first update, then as soon as one is due
+    if whole:  # after the first update, then as soon as one is due
         assert evaluated == [0, *(np.argmax(steps >= x) for x in (100 / 3, 200 / 3, 100))]
     else:
         assert steps.tolist() == [24, 48, 72, 96, 120]
