@@ -7,12 +7,14 @@ speed wants `pip install tyro tensorboard`, the path of its ppo_continuous_actio
 an idle machine: `python experiments/peers.py --only speed --workers 1`.
 """
 
+import importlib.metadata
 import os
 import re
 import subprocess
 import sys
 import tempfile
 import time
+from pathlib import Path
 
 import gymnasium as gym
 import pandas as pd
@@ -96,7 +98,8 @@ def measure(job):
 
     model.learn(args.total_steps, callback=evaluate)
     curve = pd.DataFrame(rows)
-    return study.numbers(curve) | {"return": curve["return"].tail(3).mean()}
+    return {**study.numbers(curve), "return": curve["return"].tail(3).mean(),
+            "stable_baselines3": importlib.metadata.version("stable_baselines3")}
 
 
 def speeds(ours, args):
@@ -105,7 +108,8 @@ def speeds(ours, args):
     with tempfile.TemporaryDirectory() as folder:
         ours.train(0, args, folder)
         log = pd.read_csv(f"{folder}/seed-{args.seed[0]}.csv")
-        command = (f"{sys.executable} {os.environ['CLEANRL']} --env-id {args.env_id} --no-cuda "
+        script = Path(os.environ["CLEANRL"]).resolve(strict=True)
+        command = (f"{sys.executable} {script} --env-id {args.env_id} --no-cuda "
                    f"--total-timesteps {args.total_steps} --seed {args.seed[0]}")
         out = subprocess.run(command.split(), cwd=folder, check=True, text=True,
                              capture_output=True).stdout

@@ -19,6 +19,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import traceback
 from functools import partial
 from pathlib import Path
 from types import ModuleType
@@ -120,6 +121,24 @@ def measured(measure, job):
     return {**job._asdict(), "commit": commit, "processor": processor, **versions, **measure(job)}
 
 
+def attempt(measure, job):
+    """A row; or None after an error, which is printed: the other jobs go on."""
+    try:
+        return measured(measure, job)
+    except Exception:
+        tqdm.write(f"failed: {job}\n{traceback.format_exc()}", sys.stderr)
+        return None
+
+
+def keep(name, row):
+    """Put a row into a file, instead of one of the same job; never leave half a file."""
+    rows = pd.concat([read(name), pd.DataFrame([row])])
+    rows = rows.drop_duplicates(KEYS, keep="last").sort_values(KEYS)
+    unfinished = DATA / f"{name}.unfinished"
+    rows.to_csv(unfinished, index=False, float_format="%.10g")
+    unfinished.replace(DATA / f"{name}.csv")
+
+
 def main(name, jobs, measure):
     """Measure the jobs that lack a row, each kept as soon as it is done; then draw."""
     parser = argparse.ArgumentParser()
@@ -130,10 +149,10 @@ def main(name, jobs, measure):
     lacking = [job for job in jobs if job not in done and args.only in " ".join(map(str, job))]
     os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that measure
     with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
-        new = pool.imap_unordered(partial(measured, measure), lacking)
+        new = pool.imap_unordered(partial(attempt, measure), lacking)
         for row in tqdm(new, name, len(lacking)):
-            rows = pd.concat([read(name), pd.DataFrame([row])]).sort_values(KEYS)
-            rows.to_csv(DATA / f"{name}.csv", index=False, float_format="%.10g")
+            if row is not None:
+                keep(name, row)
     if set(jobs) <= set(keys(read(name))):
         report([name])
 

@@ -60,7 +60,7 @@ def test_a_job_of_each_study_is_measured(name, monkeypatch):
     short = job._replace(options=f"{job.options} --total-steps 256 --num-evals 1".strip())
     monkeypatch.setattr(module, "BATCHES", 2, raising=False)
     monkeypatch.setattr(module, "NOISE", short.options, raising=False)
-    row = study.measured(module.measure, short)
+    row = module.measure(short)
     assert row["steps"] >= 256
     assert row["curve"].endswith(f"{row['return']:.6g}")
 
