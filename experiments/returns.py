@@ -44,8 +44,11 @@ def summary(task, runs):
     solved = "–"
     if goal is not None:
         solved = f"{sum(returns >= goal)} of {len(runs)} ≥ {goal:,g}".replace("-", "−")
-    return [len(runs), spread(returns, digits), number(returns.min(), digits), solved,
-            number(runs["seconds"].median() / 60, 1)]
+    return [len(runs), spread(returns, digits), number(returns.min(), digits), solved]
+
+
+def minutes(runs):
+    return number(runs["seconds"].median() / 60, 1)
 
 
 def draw_tasks(runs):
@@ -64,22 +67,24 @@ def draw_tasks(runs):
 
 def draw(rows):
     runs = dict(list(rows.groupby(["script", "options"])))
-    columns = ["seeds", "mean ± std", "lowest", "at Gymnasium's threshold", "minutes"]
+    columns = ["seeds", "mean ± std", "lowest", "at Gymnasium's threshold"]
     defaults, tasks, settings = [], [], []
     for script in DEFAULTS:
         args = study.load(Job(script))[1]
         defaults.append([f"`{script}`", args.env_id, f"{args.total_steps:,}",
                          *summary(args.env_id, runs[script, HUNDRED])])
     for task in TASKS:
-        tasks.append([task, *summary(task, runs[PPO, of(task)])])
+        run = runs[PPO, of(task)]
+        tasks.append([task, *summary(task, run), minutes(run)])
     for options in SETTINGS:
         task = options.split()[1]
         if (PPO, options) not in runs:
             continue
-        settings.append([f"`python {PPO} {options}`", *summary(task, runs[PPO, options])])
+        run = runs[PPO, options]
+        settings.append([f"`python {PPO} {options}`", *summary(task, run), minutes(run)])
     tables = {"defaults": study.table(["file", "task", "steps", *columns], defaults),
-              "tasks": study.table(["task", *columns], tasks),
-              "settings": study.table(["command", *columns], settings)}
+              "tasks": study.table(["task", *columns, "minutes"], tasks),
+              "settings": study.table(["command", *columns, "minutes"], settings)}
     rows = rows.assign(task=rows["options"].map({of(task): task for task in TASKS}))
     return tables, {"ppo_returns": draw_tasks(rows.dropna(subset="task"))}
 
