@@ -93,7 +93,11 @@ def play(module, args, weights, steps, words):
         if step % steps_a_frame == 0:
             decorate(env, args.env_id, step, pushed)
             frames.append(frame(env.render(), words.format(round(speed))))
-        action = agent.act(np.array(obs, float)[None], deterministic=bool(weights))[0]
+        if hasattr(agent, "act"):
+            action = agent.act(np.array(obs, float)[None], deterministic=bool(weights))[0]
+        else:  # REINFORCE's
+            policy = agent.policy(torch.tensor(obs, dtype=torch.float32))
+            action = (policy.mean if weights else policy.sample()).detach().numpy()
         if hasattr(module, "squash"):
             action = module.squash(action, env.action_space)
         elif args.env_id == "InvertedPendulum-v5":
