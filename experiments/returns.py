@@ -17,10 +17,11 @@ TASKS = {"HalfCheetah-v5": 20, "Hopper-v5": 20, "Walker2d-v5": 20, "InvertedDoub
          "Reacher-v5": 10, "Swimmer-v5": 10}
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", "Swimmer-v5"
 SETTINGS = (  # of the guide
-    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 --rollout-steps 512 "
-    "--first-std 1",
-    "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.9999",
-    "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2")
+    (PPO, "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 "
+          "--rollout-steps 512 --first-std 1"),
+    (PPO, "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.9999"),
+    (PPO, "--env-id MountainCarContinuous-v0 --total-steps 1e5 --first-std 2"),
+    (A2C, "--env-id CartPole-v1 --total-steps 3e5 --gamma 0.99"))
 
 
 def of(task):
@@ -29,7 +30,7 @@ def of(task):
 
 COUNTS = {(script, HUNDRED): count for script, count in DEFAULTS.items()}
 COUNTS |= {(PPO, of(task)): count for task, count in TASKS.items()}
-COUNTS |= {(PPO, options): 5 for options in SETTINGS}
+COUNTS |= dict.fromkeys(SETTINGS, 5)
 JOBS = [Job(*plan, seed=FIRST_SEED + i) for plan, count in COUNTS.items() for i in range(count)]
 
 
@@ -76,12 +77,11 @@ def draw(rows):
     for task in TASKS:
         run = runs[PPO, of(task)]
         tasks.append([task, *summary(task, run), minutes(run)])
-    for options in SETTINGS:
-        task = options.split()[1]
-        if (PPO, options) not in runs:
+    for script, options in SETTINGS:
+        if (script, options) not in runs:
             continue
-        run = runs[PPO, options]
-        settings.append([f"`python {PPO} {options}`", *summary(task, run), minutes(run)])
+        run, task = runs[script, options], options.split()[1]
+        settings.append([f"`python {script} {options}`", *summary(task, run), minutes(run)])
     tables = {"defaults": study.table(["file", "task", "steps", *columns], defaults),
               "tasks": study.table(["task", *columns, "minutes"], tasks),
               "settings": study.table(["command", *columns, "minutes"], settings)}
