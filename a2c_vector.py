@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.10,<3.14"  # Box2D has no wheel for 3.14
-# dependencies = ["torch>=2.6", "gymnasium[box2d]>=1.2", "numpy>=1.26",
+# dependencies = ["torch>=2.6", "gymnasium[box2d]>=1.3", "numpy>=1.26",
 #     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31", "tqdm>=4.66"]
 # ///
 """A2C: advantage actor-critic, with many environments and random physics, in one file.
@@ -202,7 +202,7 @@ def policy_loss(log_probs, advantages):
 
         ∇E[return] = Σ_τ return·∇P(τ) = E[return·Σ_t ∇log π(a_t|s_t)]        as ∇P = P·∇log P
                    = E[Σ_t (r_t + r_{t+1} + … − V(s_t))·∇log π(a_t|s_t)]     less noise: see below
-                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]       A_t estimates (…): γ < 1, V for later rewards
+                   ≈ E[Σ_t A_t·∇log π(a_t|s_t)]       A_t estimates the bracket, with γ and V
 
     Of the probability P(τ) of an episode, only the factors π(a_t|s_t) depend on the weights. In s_t
     the mean of ∇log π(a_t|s_t) is Σ_a π·∇log π = ∇Σ_a π = ∇1 = 0. It stays 0 when multiplied by
@@ -317,7 +317,7 @@ def train(index, args, folder):
         entropy_coef = remaining * args.entropy_coef
         # 2. Collect a rollout.
         batch, obs, earned, returns = rollout(envs, agent, obs, earned, args.rollout_steps)
-        # 3. Scale the rewards, for V; the actor's A will be standardised anyway.
+        # 3. Scale the rewards.
         rewards = batch.rewards.float() * args.reward_scale
         # 4. Estimate advantages and targets, which are constants in 5.
         with torch.no_grad():

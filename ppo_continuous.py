@@ -1,6 +1,6 @@
 # /// script
 # requires-python = ">=3.10"
-# dependencies = ["torch>=2.6", "gymnasium[mujoco]>=1.2", "mujoco>=3.1,<3.16", "numpy>=1.26",
+# dependencies = ["torch>=2.6", "gymnasium[mujoco]>=1.3", "mujoco>=3.1,<3.16", "numpy>=1.26",
 #     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31", "tqdm>=4.66"]
 # ///
 """PPO: proximal policy optimisation for continuous actions, in one file.
@@ -267,8 +267,7 @@ def optimise(agent, optimizer, samples, *, epochs, minibatch_size, clip_eps, max
         KL(π_old ‖ π) = ½·Σ((μ − μ_old)/σ)²       summed over the K numbers of an action
 
     averaged over a minibatch. With K = 1 the default limit, 0.03, is a move of μ by about σ/4; more
-    numbers share it. To let σ learn, make log σ a Parameter, do not fill it in step 1, put
-    `old_pi.stddev` among the samples, and use torch.distributions.kl_divergence.
+    numbers share it.
     """
     for _ in range(epochs):
         for rows in torch.randperm(len(samples[0])).split(minibatch_size):

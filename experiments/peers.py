@@ -2,9 +2,9 @@
 
 sb3 (`pip install stable-baselines3==2.9.2`) with its defaults, with the settings of its zoo (its
 file hyperparams/ppo.yml, as of 26 November 2026), and with the sizes of ours; observations and
-rewards are normalised by its `VecNormalize`. CleanRL's returns are rows of commit e64b293. Its
-speed wants `pip install tyro tensorboard`, the path of its ppo_continuous_action.py in CLEANRL, and
-an idle machine: `python experiments/peers.py --only speed --workers 1`.
+rewards are normalised by its `VecNormalize`. CleanRL's returns, data/cleanrl.csv, are measured by
+commit e64b293. Its speed wants `pip install tyro tensorboard`, its ppo_continuous_action.py's path
+in CLEANRL, and an idle machine: `python experiments/peers.py --only speed --workers 1`.
 """
 
 import importlib.metadata
@@ -38,7 +38,7 @@ TASKS = list(dict.fromkeys(task for task, _ in SEEDS))
 JOBS = [Job(FILE, returns.of(task), change, seed)
         for (task, change), count in SEEDS.items() for seed in range(1, count + 1)]
 RACES = {task: f"--env-id {task} --total-steps 32768" for task in TASKS}
-JOBS += [Job(FILE, race, "speed", seed) for seed in range(1, 6) for race in RACES.values()]
+JOBS += [Job(PPO, race, "speed", seed) for seed in range(1, 6) for race in RACES.values()]
 LEFT_OUT = "Hopper-v5", "zoo"  # ends near 1,000 in all five runs: not what the zoo publishes
 RELU = {"log_std_init": -2, "ortho_init": False, "activation_fn": torch.nn.ReLU,
         "net_arch": {"pi": [256, 256], "vf": [256, 256]}}
@@ -85,8 +85,9 @@ def make_sb3(task, setting, seed):
 def measure(job):
     """Evaluations of five episodes, the first at once; the return is the mean of the last three."""
     ours, args = study.load(Job(PPO, job.options, seed=job.seed))
+    version = {"stable_baselines3": importlib.metadata.version("stable_baselines3")}
     if job.change == "speed":
-        return speeds(ours, args)
+        return {**version, **speeds(ours, args)}
     model, rows = make_sb3(args.env_id, job.change, job.seed), []
     envs, start = gym.make_vec(args.env_id, 5), time.perf_counter()
 
@@ -98,8 +99,7 @@ def measure(job):
 
     model.learn(args.total_steps, callback=evaluate)
     curve = pd.DataFrame(rows)
-    return {**study.numbers(curve), "return": curve["return"].tail(3).mean(),
-            "stable_baselines3": importlib.metadata.version("stable_baselines3")}
+    return {**version, **study.outcome(curve), "return": curve["return"].tail(3).mean()}
 
 
 def speeds(ours, args):
@@ -168,7 +168,7 @@ def draw_race(runs):
 
 
 def draw(rows):
-    runs = pd.concat([study.read("returns"), rows])
+    runs = pd.concat([study.read("returns"), study.read("cleanrl"), rows])
     runs["task"] = runs["options"].map({returns.of(task): task for task in TASKS})
     runs = runs.dropna(subset="task")
     finals = dict(list(runs.groupby(["task", "change"])["return"]))

@@ -1,7 +1,7 @@
 """What the studies share: jobs, their rows in experiments/data, statistics, tables and figures.
 
 A study has JOBS; measure(job), which returns the numbers of a row; and draw(rows), which returns
-its tables {name: Markdown} and its figures {name: Figure}.
+its tables {name: Markdown} and its figures {name: what has savefig}.
 
     python experiments/STUDY.py                measures what experiments/data/STUDY.csv lacks, draws
     python experiments/STUDY.py --only Hopper  measures only jobs whose text contains this
@@ -70,10 +70,10 @@ def train(job):
         log = pd.read_csv(f"{folder}/seed-{job.seed}.csv")
         saved = module.torch.load(f"{folder}/seed-{job.seed}.pt", weights_only=True)
     curve = log.rename(columns={"env_step": "steps", "return": "sampled", "eval_return": "return"})
-    return numbers(curve.dropna(subset="return")), saved["agent"]
+    return outcome(curve.dropna(subset="return")), saved["agent"]
 
 
-def numbers(curve):
+def outcome(curve):
     """Of a row: the last steps, seconds and return, and all evaluations, as text."""
     pairs = zip(curve["steps"], curve["return"])
     text = " ".join(f"{steps:.0f}:{value:.6g}" for steps, value in pairs)
@@ -101,33 +101,31 @@ def keys(rows):
 
 
 def commit_of(script):
-    """The last commit of a script, which must not have been changed since."""
+    """The last commit of a script and its changes, which must not have been edited since."""
     def git(*command):
-        return subprocess.run(["git", *command, "--", script], cwd=ROOT, text=True, check=True,
+        files = script, "experiments/variants.py"
+        return subprocess.run(["git", *command, "--", *files], cwd=ROOT, text=True, check=True,
                               capture_output=True).stdout.strip()
 
-    if git("status", "--porcelain"):
-        raise ValueError(f"not measured, as it is not committed yet: {script}")
+    edited = git("status", "--porcelain")
+    if edited:
+        raise ValueError(f"not measured, as it is not committed yet: {edited}")
     return git("log", "-1", "--format=%h")
 
 
-def measured(measure, job):
-    """A row: the job, where the numbers come from, and the numbers."""
-    commit = commit_of(job.script)  # before each job: a study may run for days
+def attempt(measure, job):
+    """A row: the job, where the numbers come from, the numbers. After an error, printed, None."""
+    try:
+        commit = commit_of(job.script)  # before each job: a study may run for days
+        found = measure(job)
+    except Exception:
+        tqdm.write(f"failed: {job}\n{traceback.format_exc()}", sys.stderr)
+        return None
     cpuinfo = Path("/proc/cpuinfo")  # where Linux names the processor
     model = re.search(r"model name\s*: (.*)", cpuinfo.read_text() if cpuinfo.exists() else "")
     processor = model[1] if model else platform.processor() or platform.machine()
     versions = {name: importlib.metadata.version(name) for name in ("torch", "gymnasium", "mujoco")}
-    return {**job._asdict(), "commit": commit, "processor": processor, **versions, **measure(job)}
-
-
-def attempt(measure, job):
-    """A row; or None after an error, which is printed: the other jobs go on."""
-    try:
-        return measured(measure, job)
-    except Exception:
-        tqdm.write(f"failed: {job}\n{traceback.format_exc()}", sys.stderr)
-        return None
+    return {**job._asdict(), "commit": commit, "processor": processor, **versions, **found}
 
 
 def keep(name, row):

@@ -6,7 +6,7 @@ import torch
 from conftest import SCRIPTS
 from harness import SEED, Uneven, read_log, register, spy
 
-VECTORS = {"num_envs": 2, "rollout_steps": 16, "gae_lambda": 0.5, "hidden_size": 8, "gamma": 0.5,
+COMMON = {"num_envs": 2, "rollout_steps": 16, "gae_lambda": 0.5, "hidden_size": 8, "gamma": 0.5,
            "learning_rate": 1e-4, "total_steps": 256, "num_evals": 2, "eval_episodes": 3,
            "seed": SEED + 4, "env_id": "harness:Forever-v0"}
 OTHERS = {
@@ -29,7 +29,7 @@ register("Drawn", Drawn)
 
 
 def test_every_option_has_an_effect(script, tmp_path):
-    options, env = {**VECTORS, **OTHERS[script.name]}, script.world("Drawn", "test_wiring")
+    options, env = {**COMMON, **OTHERS[script.name]}, script.world("Drawn", "test_wiring")
     usual = read_log(script.train(tmp_path, "--env-id", env))
     for name in set(vars(script.args())) - ELSEWHERE:
         flag, value = f"--{name.replace('_', '-')}", options[name]

@@ -41,7 +41,7 @@ gym.registry["Doubles-v0"].kwargs["actions"] = Box(
 def test_the_same_numbers_train_the_same_agent_however_they_are_handed_over(script, tmp_path):
     """As from the same world in float32 and float. Actions are in the dtype of their space."""
     def learn(name):
-        path = script.train(tmp_path / name, "--env-id", script.world(name, "test_faults"))
+        path = script.train(tmp_path / name, "--env-id", script.world(name, "test_environments"))
         return torch.load(f"{path}.pt", weights_only=True)["agent"], read_log(path)
 
     agent, log = learn("Bits")
@@ -65,7 +65,7 @@ def test_an_evaluation_counts_1000_steps_where_no_limit_is_registered(
     if script.name == "reinforce_mujoco":
         options, steps = ["--batch-episodes", 1], evaluated
     log = read_log(script.train(
-        tmp_path, "--env-id", script.world(name, "test_faults"), "--total-steps", 1300,
+        tmp_path, "--env-id", script.world(name, "test_environments"), "--total-steps", 1300,
         "--num-evals", 1, "--eval-episodes", 1, *options))
     assert log.loc[0, ["return", "eval_return"]].tolist() == [steps, evaluated]
 
@@ -85,9 +85,9 @@ def test_a_run_is_where_the_user_stood_and_closes_what_it_opened(
         script, call, tmp_path, monkeypatch):
     opened = spy(monkeypatch, World, "__init__", lambda world, **_: world)
     closed = spy(monkeypatch, World, "close", lambda world: world)
-    call(script, "--env-id", script.world("Elsewhere", "test_faults"), *script.small.split(),
+    call(script, "--env-id", script.world("Elsewhere", "test_environments"), *script.small.split(),
          "--out-dir", "mine")
     (folder,) = (tmp_path / "mine").iterdir()
-    assert folder.name.startswith("test_faults-")  # no colon, which Windows does not allow
+    assert folder.name.startswith("test_environments-")  # no colon, which Windows does not allow
     assert len(opened) >= 3
     assert set(opened) == set(closed)
