@@ -11,7 +11,7 @@ NAMES = {  # an option, to be typed, or one of `variants`
     "--clip-eps 1e9": "no clip",
     "--max-kl 1e9": "no KL limit",
     "--clip-eps 1e9 --max-kl 1e9": "neither clip nor KL limit",
-    "--last-std 0.6": "σ constant",
+    "--last-std 0.6": "σ stays 0.6",
     "sigma-learned": "σ learned",
     "learning-rate-constant": "learning rate constant",
     "advantages-not-standardised": "advantages not standardised",
@@ -55,19 +55,17 @@ def effects(rows):
 
 def draw(rows):
     found = effects(rows)
-    order = found.groupby("change")["gain"].mean().sort_values(ascending=False).index
     picture, panels = study.figure(12, 7, 1, 2, sharex=True, sharey=True)
     for axis, (task, job) in zip(panels, TASKS.items()):
-        effect = found[found["task"] == task].set_index("change").loc[order]
-        for change, gain, low, high, _, holds in effect.drop(columns="task").itertuples():
+        for change, gain, low, high, _, holds in found[found["task"] == task].values[:, 1:]:
             axis.plot([low, high], [change, change], color="C0", lw=2)
             axis.plot(gain, change, "o", color="C0", ms=9, mfc="C0" if holds else "white")
-            axis.text(42, change, number(gain), ha="right", va="center")
+            axis.text(1.02, change, number(gain), va="center", transform=axis.get_yaxis_transform())
         axis.axvline(0, color="grey")
         axis.grid(visible=False, axis="y")
         _, args = study.load(job)
-        axis.set(title=f"{task}, {args.total_steps:,} steps", xlabel="change in return, %",
-                 xlim=(-105, 45))
+        axis.set(title=f"{task}, {args.total_steps:,} steps", xlabel="change in return, %")
+    panels[0].invert_yaxis()
     picture.suptitle("What each detail is worth")
     return {}, {"ablation": picture}
 

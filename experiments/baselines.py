@@ -1,13 +1,12 @@
 """REINFORCE: what is a baseline for? Returns with each, and the noise that each leaves."""
 
 import numpy as np
-import pandas as pd
 import study
 import torch
 from study import Job, number
 from variants import REINFORCE
 
-BASELINES, STEPS, BATCHES = ("none", "mean", "value"), np.arange(0, 100_001, 5000), 300
+BASELINES, BATCHES = ("none", "mean", "value"), 300
 NOISE = "--total-steps 10000"  # a short run, for whose policy the noise is measured
 JOBS = [Job(REINFORCE, options, seed=seed) for seed in range(101, 111)
         for options in (NOISE, *(f"--baseline {name}" for name in BASELINES))]
@@ -44,20 +43,13 @@ def variances(job, weights):
 
 def draw(rows):
     noise = rows[rows["options"] == NOISE]
-    picture, (axis,) = study.figure(11, 6)
-    for i, name in enumerate(BASELINES):
-        runs = study.curves(rows[rows["options"] == f"--baseline {name}"]).groupby("seed")
-        curve = pd.DataFrame(  # seeds are evaluated at different steps
-            {seed: np.interp(STEPS, run["steps"], run["return"]) for seed, run in runs}, STEPS)
-        left = noise[f"variance {name}"] / noise["variance none"]
-        axis.plot(curve, color=f"C{i}", lw=0.8, alpha=0.6)
-        axis.plot(curve.mean(axis="columns"), color=f"C{i}", lw=5, ls=("-", "--", "-.")[i],
-                  label=f"{name}: variance {number(left.mean(), 2)}")
-    axis.set(xlabel="steps", ylabel="return in evaluation")
-    axis.xaxis.set_major_formatter("{x:,.0f}")
-    picture.legend(title="--baseline", loc="outside lower center", ncols=3)
-    picture.suptitle("REINFORCE with each baseline: ten seeds")
-    return {}, {"baselines": picture}
+    titles = {}
+    for name in BASELINES:
+        left = (noise[f"variance {name}"] / noise["variance none"]).mean()
+        titles[f"--baseline {name}"] = f"{name}: variance {number(left, 2)}"
+    rows = rows.assign(title=rows["options"].map(titles)).dropna(subset="title")
+    lines = study.curves(rows, np.arange(0, 100_001, 5000))
+    return {}, {"baselines": study.seeds_and_mean(lines, "title", col_order=titles.values())}
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ def read(folders):
             print("left out, as it has not ended:", file)
             continue
         logs.append(log.assign(seed=file.stem))
-        options.append({"script": file.parent.name.split("__")[1], **saved["options"]})
+        options.append({"script": file.parent.name.split("__")[-2], **saved["options"]})
     if not logs:
         sys.exit("usage: python experiments/merge.py FOLDER ..., with folders of runs that ended")
     options = pd.DataFrame(options).drop(columns=["seed", "watch", "out_dir"]).astype(str)

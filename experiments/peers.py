@@ -155,14 +155,13 @@ def speed_table(rows):
 
 
 def draw_race(runs):
-    """Means of seeds, in steps of 50,000."""
-    lines = study.curves(runs)
-    lines["million steps"] = (lines["steps"] / 50_000).round() / 20
+    """Means of seeds, and their 95% intervals."""
+    lines = study.curves(runs, returns.STEPS[1:])  # CleanRL's evaluations start at 50,000
     lines["learner"] = lines["change"].map(LEARNERS)
     names = list(LEARNERS.values())
-    grid = sns.relplot(lines, x="million steps", y="return", hue="learner", style="learner",
+    grid = sns.relplot(lines, x="thousand steps", y="return", hue="learner", style="learner",
                        hue_order=names, style_order=names, col="task", col_order=TASKS,
-                       col_wrap=2, kind="line", errorbar=None, lw=3, height=4.5, aspect=1.3,
+                       col_wrap=2, kind="line", seed=0, lw=3, height=4.5, aspect=1.3,
                        facet_kws={"sharey": False})
     return grid.set_titles("{col_name}")
 

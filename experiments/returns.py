@@ -4,7 +4,7 @@ The three scripts with their defaults, PPO with the same options on ten tasks, t
 """
 
 import gymnasium as gym
-import seaborn as sns
+import numpy as np
 import study
 from study import Job, number, spread
 from variants import A2C, PPO, REINFORCE
@@ -15,6 +15,7 @@ DEFAULTS = {REINFORCE: 20, A2C: 30, PPO: 20}  # seeds
 TASKS = {"HalfCheetah-v5": 20, "Hopper-v5": 20, "Walker2d-v5": 20, "InvertedDoublePendulum-v5": 20,
          "Ant-v5": 10, "Humanoid-v5": 10, "InvertedPendulum-v5": 10, "Pusher-v5": 10,
          "Reacher-v5": 10, "Swimmer-v5": 10}
+STEPS = np.linspace(0, 1e6, 21)  # of the figures
 PANELS = "HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5", "Humanoid-v5", "Swimmer-v5"
 SETTINGS = (  # of the guide
     (PPO, "--env-id Swimmer-v5 --total-steps 1e6 --gamma 0.999 --gae-lambda 0.98 "
@@ -39,11 +40,11 @@ def measure(job):
 
 
 def summary(task, runs):
-    """The cells of a line; how many reach Gymnasium's threshold, if the task has one."""
+    """The cells of a line; how many reach Gymnasium's threshold."""
     returns, goal = runs["return"], gym.spec(task).reward_threshold
     digits = int(abs(returns.mean()) < 100)
     solved = "–"
-    if goal is not None:
+    if goal:  # Pusher's, 0, is out of reach
         solved = f"{sum(returns >= goal)} of {len(runs)} ≥ {goal:,g}".replace("-", "−")
     return [len(runs), spread(returns, digits), number(returns.min(), digits), solved]
 
@@ -53,22 +54,18 @@ def minutes(runs):
 
 
 def draw_tasks(runs):
-    lines = study.curves(runs)
-    lines["million steps"] = lines["steps"] / 1e6
-    grid = sns.FacetGrid(lines, col="task", col_order=PANELS, col_wrap=3, sharey=False, height=4)
-    look = {"x": "million steps", "y": "return", "color": "C0"}
-    grid.map_dataframe(sns.lineplot, **look, units="seed", estimator=None, lw=0.8, alpha=0.5)
-    grid.map_dataframe(sns.lineplot, **look, errorbar=None, lw=4)
+    lines = study.curves(runs, STEPS)
+    grid = study.seeds_and_mean(lines, "task", col_order=PANELS, col_wrap=3, sharey=False)
     for task, axis in grid.axes_dict.items():
         goal = gym.spec(task).reward_threshold
         if goal and goal < 1.25 * axis.get_ylim()[1]:
             axis.axhline(goal, color="black", ls=":", lw=2)
-    return grid.set_titles("{col_name}")
+    return grid
 
 
 def draw(rows):
     runs = dict(list(rows.groupby(["script", "options"])))
-    columns = ["seeds", "mean ± std", "lowest", "at Gymnasium's threshold"]
+    columns = ["seeds", "mean ± std", "lowest", "reach Gymnasium's threshold"]
     defaults, tasks, settings = [], [], []
     for script in DEFAULTS:
         args = study.load(Job(script))[1]

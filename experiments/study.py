@@ -80,12 +80,14 @@ def outcome(curve):
     return {**curve[["steps", "seconds", "return"]].iloc[-1], "curve": text}
 
 
-def curves(rows):
-    """A line for each evaluation, `steps` and `return`, of runs that have more than the last."""
-    rows = rows[rows["curve"].str.contains(" ", na=False)]
-    lines = rows.assign(point=rows["curve"].str.split()).explode("point", ignore_index=True)
-    lines[["steps", "return"]] = lines["point"].str.split(":", expand=True).astype(float)
-    return lines
+def curves(rows, steps):
+    """Of each run the return at each of `steps`, interpolated between evaluations."""
+    lines = []
+    for row in rows.to_dict("records"):
+        points = np.array([point.split(":") for point in row["curve"].split()], float)
+        returns = np.interp(steps, *points.T)
+        lines.append(pd.DataFrame({**row, "thousand steps": steps / 1000, "return": returns}))
+    return pd.concat(lines)
 
 
 def read(name):
@@ -211,6 +213,15 @@ def figure(width, height, rows=1, columns=1, **options):
     """A picture and its panels."""
     picture = Figure(figsize=(width, height), layout="constrained")
     return picture, picture.subplots(rows, columns, squeeze=False, **options).ravel()
+
+
+def seeds_and_mean(lines, panel, **options):
+    """A panel for each value of a column of `curves`: thin a line a seed, thick their mean."""
+    grid = sns.FacetGrid(lines, col=panel, height=4, **options)
+    look = {"x": "thousand steps", "y": "return", "color": "C0"}
+    grid.map_dataframe(sns.lineplot, **look, units="seed", estimator=None, lw=0.8, alpha=0.5)
+    grid.map_dataframe(sns.lineplot, **look, errorbar=None, lw=4)
+    return grid.set_titles("{col_name}")
 
 
 def report(names=STUDIES, check=False):

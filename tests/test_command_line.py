@@ -1,4 +1,4 @@
-"""Wrong calls end in one line and write nothing."""
+"""Wrong options and environments end in one line and write nothing."""
 
 from pathlib import Path
 

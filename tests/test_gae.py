@@ -74,11 +74,12 @@ def test_an_update_gets_the_estimates_of_the_agent_that_played(
 
     The log says how well the agent that played predicted targets; if γ is 0, they are all alike.
     """
+    ppo = script.name == "ppo_continuous"
+
     def keep(agent, optimizer, *samples, **_):
         flat = samples[0] if ppo else [x.flatten(0, 1) for x in samples]
         return copy.deepcopy(agent), *flat
 
-    ppo = script.name == "ppo_continuous"
     updates = spy(monkeypatch, script.module, "optimise", keep)
     players = spy(monkeypatch, script.module, "rollout", lambda _, agent, *__: copy.deepcopy(agent))
     rewarded = spy(monkeypatch, script.module, "compute_gae", lambda rewards, *_, **__: rewards)

@@ -8,7 +8,7 @@ import time
 import pytest
 from harness import start
 
-LONG = "--total-steps 1e7 --num-evals 2000 --eval-episodes 2 --num-envs 4 --rollout-steps 32"
+LONG = "--total-steps 1e6 --num-evals 2000 --eval-episodes 2 --num-envs 4 --rollout-steps 32"
 
 
 @pytest.mark.slow
