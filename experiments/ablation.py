@@ -8,8 +8,8 @@ from variants import PPO
 TASKS = {"HalfCheetah": Job(PPO, "--env-id HalfCheetah-v5 --total-steps 3e5"),
          "double pendulum": Job(PPO)}
 NAMES = {  # an option, to be typed, or one of `variants`
-    "--clip-eps 1e9": "no clip",
-    "--max-kl 1e9": "no KL limit",
+    "--clip-eps 1e9": "no clip, KL limit kept",
+    "--max-kl 1e9": "no KL limit, clip kept",
     "--clip-eps 1e9 --max-kl 1e9": "neither clip nor KL limit",
     "--last-std 0.6": "σ stays 0.6",
     "sigma-learned": "σ learned",

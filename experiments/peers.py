@@ -136,7 +136,7 @@ def returns_table(finals):
             cells.append(f"**{text}**" if bold.get((task, change)) else text)
         best = max((x for x in tested if x[0] == task), key=lambda x: finals[x].mean())
         lines.append([task, *cells, gains[best]])
-    return study.table(["task", *LEARNERS.values(), "ours − best peer, 95%"], lines)
+    return study.table(["task", *LEARNERS.values(), "ours − best peer, 95% uncorrected"], lines)
 
 
 def speed_table(rows):
@@ -155,14 +155,14 @@ def speed_table(rows):
 
 
 def draw_race(runs):
-    """Means of seeds, and their 95% intervals."""
+    """Means of seeds, and their standard errors."""
     lines = study.curves(runs, returns.STEPS[1:])  # CleanRL's evaluations start at 50,000
     lines["learner"] = lines["change"].map(LEARNERS)
     names = list(LEARNERS.values())
     grid = sns.relplot(lines, x="thousand steps", y="return", hue="learner", style="learner",
                        hue_order=names, style_order=names, col="task", col_order=TASKS,
-                       col_wrap=2, kind="line", seed=0, lw=3, height=4.5, aspect=1.3,
-                       facet_kws={"sharey": False})
+                       col_wrap=2, kind="line", errorbar="se", lw=3, height=4.5,
+                       aspect=1.3, facet_kws={"sharey": False})
     return grid.set_titles("{col_name}")
 
 
