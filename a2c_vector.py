@@ -1,5 +1,5 @@
 # /// script
-# requires-python = ">=3.10,<3.14"  # Box2D has no wheel for 3.14
+# requires-python = ">=3.11,<3.14"  # Box2D has no wheel for 3.14
 # dependencies = ["torch>=2.6", "gymnasium[box2d]>=1.3", "numpy>=1.26",
 #     "pandas>=2.2", "seaborn>=0.13.2", "matplotlib>=3.8", "imageio>=2.31", "tqdm>=4.66"]
 # ///
