@@ -34,9 +34,9 @@ def read(folders):
     differ = [name for name in options if options[name].nunique() > 1] or ["script"]
     settings = [", ".join(f"{name} {value}" for name, value in row.items())
                 for row in options[differ].to_dict("records")]
-    logs = [log.assign(setting=setting) for log, setting in zip(logs, settings)]
-    logs = pd.concat(logs, ignore_index=True).dropna(subset="eval_return")
-    return logs.drop_duplicates(["setting", "seed", "env_step"], keep="last")
+    last = {(setting, log["seed"][0]): log.assign(setting=setting)
+            for setting, log in zip(settings, logs)}
+    return pd.concat(last.values(), ignore_index=True).dropna(subset="eval_return")
 
 
 def main(folders):

@@ -46,7 +46,7 @@ class Job(NamedTuple):
 
     script: str
     options: str = ""  # as typed
-    change: str = ""  # one of `variants`, or a peer's name
+    change: str = ""  # one of `variants`, or a study's own
     seed: int = 1
 
 
@@ -184,11 +184,11 @@ def paired(gains):
     return Difference(np.mean(gains), *test.confidence_interval(), test.pvalue)
 
 
-def holm(p_values, level=0.05):
-    """Which p-values, a Series, stay below the level when corrected for their number (Holm)."""
+def holm(p_values):
+    """Which p-values, a Series, stay below 0.05 when corrected for their number (Holm)."""
     p = p_values.sort_values()
     corrected = (p * np.arange(len(p), 0, -1)).cummax()
-    return corrected.reindex(p_values.index) <= level
+    return corrected.reindex(p_values.index) <= 0.05
 
 
 def number(value, digits=0):

@@ -66,15 +66,18 @@ def test_a_job_of_each_study_is_measured(name, monkeypatch):
 
 
 def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
-    """Two seeds of 512 steps, two of 256."""
-    for seed, steps, final in (3, 512, 10), (4, 512, 12), (3, 256, 2), (4, 256, 6):
-        folder = tmp_path / f"Pendulum__ppo_continuous__{steps}{seed}"
-        path = SCRIPTS["ppo_continuous"].train(folder, "--total-steps", steps, seed=seed)
+    """Two seeds of 512 steps, two of 256, of which one ran twice, with other steps."""
+    folders, runs = [], [(4, 512, 12), (4, 256, 99), (3, 512, 10), (3, 256, 2), (4, 256, 6)]
+    for seed, steps, final in runs:
+        folders.append(tmp_path / f"Pendulum__ppo_continuous__{len(folders)}")
+        path = SCRIPTS["ppo_continuous"].train(folders[-1], "--total-steps", steps, seed=seed)
         log = pd.read_csv(f"{path}.csv")
+        log["env_step"] += final == 99
         log.loc[log.index[-1], "eval_return"] = final
         log.to_csv(f"{path}.csv", index=False)
-    merge.main(sorted(tmp_path.iterdir(), reverse=True))
+    merge.main(folders)
     out = capsys.readouterr().out
+    assert all(merge.read(folders)["env_step"] % 2 == 0)
     assert re.search(r"^total_steps 256 +2 +4\.0 ", out, re.MULTILINE)
     assert "total_steps 256 − total_steps 512: -7, 95%: -20.837 to" in out  # df 25/17
     assert (tmp_path / "merged.png").exists()

@@ -109,7 +109,7 @@ class Shown(World):
 
     def reset(self, *, seed=None, options=None):
         shown = super().reset(seed=seed)
-        self.length = length(self.episode)
+        self.length = shown_length(self.episode)
         return shown
 
     def reward(self, action):
@@ -121,7 +121,7 @@ class Shown(World):
         return self.picture
 
 
-def length(drawn):
+def shown_length(drawn):
     return 450 if drawn > 0 else 300
 
 
@@ -135,21 +135,21 @@ def test_an_evaluation_plays_an_episode_of_each_seed_and_watch_films_the_start_o
                         "--eval-episodes", 3, "--num-evals", 1)
     first = {seed: 1_000_000 + 1000 * seed for seed in (SEED + 3, SEED + 9)}
     drawn = [np_random(first[SEED + 3] + i)[0].uniform(-1, 1) for i in range(3)]
-    expected = np.mean([x * length(x) for x in drawn])
+    expected = np.mean([x * shown_length(x) for x in drawn])
     np.testing.assert_allclose(read_log(path)["eval_return"].dropna(), expected, rtol=1e-5)
     for seed, options in (SEED + 9, ["--seed", str(SEED + 9)]), (SEED + 3, []):
         capsys.readouterr()
         script.module.watch(f"{path}.pt", options)
         x = np_random(first[seed])[0].uniform(-1, 1)
         printed = float(capsys.readouterr().out.removeprefix("return:"))
-        assert printed == pytest.approx(x * length(x), rel=1e-5)
+        assert printed == pytest.approx(x * shown_length(x), rel=1e-5)
     shown = []
     with Image.open(f"{path}.gif") as gif:
         for i in range(gif.n_frames):
             gif.seek(i)
             shown.append(int((np.asarray(gif.convert("L"))[30] < 128).sum()))
             assert gif.info["duration"] == 40
-    assert shown == list(range(0, min(length(x), 400), 2))
+    assert shown == list(range(0, min(shown_length(x), 400), 2))
 
 
 @pytest.mark.skipif(not ctypes.util.find_library("EGL"), reason="no EGL here")
