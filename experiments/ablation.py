@@ -46,9 +46,8 @@ def effects(rows):
         usual = returns.loc[job[:3]]
         for change, name in NAMES.items():
             changed = with_change(job, change, 1)[:3]
-            if changed in returns.index:
-                gains = 100 * (returns.loc[changed] - usual) / usual.mean()
-                lines.append([task, name, *study.paired(gains)])
+            gains = 100 * (returns.loc[changed] - usual) / usual.mean()
+            lines.append([task, name, *study.paired(gains)])
     found = pd.DataFrame(lines, columns=["task", "change", *study.Difference._fields])
     return found.assign(holds=study.holm(found["p"]))
 

@@ -148,7 +148,7 @@ def speed_table(rows):
         for change in "CleanRL", "defaults", "our sizes":
             ratios = ours / turns[f"speed of {LEARNERS[change]}"]
             low, middle, high = (number(x, 1) for x in ratios.quantile([0, 0.5, 1]))
-            cells.append(f"{middle} ({low} to {high})" if ratios.notna().any() else "–")
+            cells.append(f"{middle} ({low} to {high})")
         lines.append([task, number(ours.median()), *cells])
     return study.table(["task", "ours, steps a second", "÷ CleanRL", "÷ sb3 with VecNormalize",
                         "÷ sb3, our sizes"], lines)

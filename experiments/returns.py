@@ -75,8 +75,6 @@ def draw(rows):
         run = runs[PPO, of(task)]
         tasks.append([task, *summary(task, run), minutes(run)])
     for script, options in SETTINGS:
-        if (script, options) not in runs:
-            continue
         run, task = runs[script, options], options.split()[1]
         settings.append([f"`python {script} {options}`", *summary(task, run), minutes(run)])
     tables = {"defaults": study.table(["file", "task", "steps", *columns], defaults),

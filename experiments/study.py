@@ -228,7 +228,10 @@ def report(names=STUDIES, check=False):
     """Put each table into the pages, below its `<!-- NAME -->`; save the figures."""
     tables, figures = {}, {}
     for name in names:
-        new_tables, new_figures = importlib.import_module(name).draw(read(name))
+        module, rows = importlib.import_module(name), read(name)
+        if set(keys(rows)) != set(module.JOBS):
+            sys.exit(f"{name}.csv does not have the jobs of {name}.py; run experiments/{name}.py")
+        new_tables, new_figures = module.draw(rows)
         tables |= new_tables
         figures |= new_figures
     unused = set(tables)
