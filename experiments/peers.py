@@ -161,8 +161,9 @@ def draw_race(runs):
     names = list(LEARNERS.values())
     grid = sns.relplot(lines, x="thousand steps", y="return", hue="learner", style="learner",
                        hue_order=names, style_order=names, col="task", col_order=TASKS,
-                       col_wrap=2, kind="line", errorbar="se", lw=3, height=4.5,
-                       aspect=1.3, facet_kws={"sharey": False})
+                       col_wrap=2, kind="line", errorbar="se", err_kws={"alpha": 0.12},
+                       markers=True, ms=9, lw=2, height=4.5, aspect=1.3,
+                       facet_kws={"sharey": False})
     return grid.set_titles("{col_name}")
 
 
