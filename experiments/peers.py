@@ -29,7 +29,7 @@ FILE = "experiments/peers.py"
 LEARNERS = {  # the change of their rows: what pages call it
     "": "ours", "CleanRL": "CleanRL", "defaults": "sb3 with VecNormalize", "zoo": "sb3, zoo",
     "our sizes": "sb3, our sizes"}
-SEEDS = {  # of sb3: the setting that was best after five seeds got five more; all count
+SEEDS = {  # of sb3: on three tasks the best after five seeds got five more; all count
     ("HalfCheetah-v5", "zoo"): 10, ("HalfCheetah-v5", "defaults"): 5,
     ("HalfCheetah-v5", "our sizes"): 5, ("Hopper-v5", "defaults"): 10, ("Hopper-v5", "zoo"): 5,
     ("Hopper-v5", "our sizes"): 5, ("Walker2d-v5", "our sizes"): 10, ("Walker2d-v5", "zoo"): 5,
