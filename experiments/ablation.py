@@ -65,7 +65,7 @@ def draw(rows):
         _, args = study.load(job)
         axis.set(title=f"{task}, {args.total_steps:,} steps", xlabel="change in return, %")
     panels[0].invert_yaxis()
-    picture.suptitle("What each detail is worth")
+    picture.suptitle("What each change costs or gains (filled: significant)")
     return {}, {"ablation": picture}
 
 

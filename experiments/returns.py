@@ -44,7 +44,7 @@ def summary(task, runs):
     returns, goal = runs["return"], gym.spec(task).reward_threshold
     digits = int(abs(returns.mean()) < 100)
     solved = "–"
-    if goal:  # Pusher's, 0, is out of reach
+    if goal is not None:
         solved = f"{sum(returns >= goal)} of {len(runs)} ≥ {goal:,g}".replace("-", "−")
     return [len(runs), spread(returns, digits), number(returns.min(), digits), solved]
 
