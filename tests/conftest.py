@@ -33,8 +33,7 @@ class Script(NamedTuple):
         """A vector of environments; of REINFORCE the one that it knows."""
         if self.name == "reinforce_mujoco":
             return self.module.make_env(self.world(world))
-        return self.module.make_envs(
-            self.args("--env-id", self.world(world)), count, **options)
+        return self.module.make_envs(self.args("--env-id", self.world(world)), count, **options)
 
     def agent(self, world, hidden_size=64):
         envs = self.envs(world)
