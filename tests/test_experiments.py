@@ -72,7 +72,7 @@ def test_runs_are_merged_by_what_tells_them_apart(tmp_path, capsys):
         folders.append(tmp_path / f"Pendulum__ppo_continuous__{len(folders)}")
         path = SCRIPTS["ppo_continuous"].train(folders[-1], "--total-steps", steps, seed=seed)
         log = pd.read_csv(f"{path}.csv")
-        log["env_step"] += final == 99
+        log["env_step"] += int(final == 99)  # the run that another replaces
         log.loc[log.index[-1], "eval_return"] = final
         log.to_csv(f"{path}.csv", index=False)
     merge.main(folders)
